@@ -1,0 +1,1 @@
+"""NARX models with free-run simulation, and continuous-time piecewise-affine systems with located events."""

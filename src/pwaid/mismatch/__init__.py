@@ -1,0 +1,1 @@
+"""Explain why a simulator and recordings differ: locate, name, model, show the gain, or refuse."""

@@ -1,0 +1,1 @@
+"""Systems of known truth, named author-year-system, used by tests, examples and docs alike."""
