@@ -24,6 +24,8 @@ ORDER = [
     ["nearest"],
     ["pwa_map"],  # above solution, so that a solution can carry its map
     ["solution"],
+    ["dissection"],
+    ["cholesky"],
     ["lambda_max"],
     ["admm"],
     ["engine"],
