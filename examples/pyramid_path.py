@@ -10,9 +10,9 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from _common import options, result
 
 import pwaid
+from _common import options, result
 from pwaid import plotting
 
 BOX = [[-1.1, 1.1]] * 2

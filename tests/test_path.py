@@ -54,7 +54,8 @@ def test_one_standard_error_rule_prefers_a_simpler_map(path):
 
     simpler = replace(path, rule="1se")
     assert simpler.best.lam >= path.best.lam
-    assert simpler.validation_rmse[simpler.best_index] <= path.validation_rmse.min() + path.validation_se[path.best_index]
+    limit = path.validation_rmse.min() + path.validation_se[path.best_index]
+    assert simpler.validation_rmse[simpler.best_index] <= limit
 
 
 def test_text_of_a_path_marks_the_choice(path):
@@ -83,9 +84,8 @@ def test_a_failing_solve_keeps_its_place(small, monkeypatch):
 def test_progress_is_called_for_every_lambda(small):
     mesh, X, y, *_ = small
     seen = []
-    solve_path(
-        HingeProblem.from_data(mesh, X, y), lambdas=[1.0, 0.5], tol=1e-2, progress=lambda i, n, s: seen.append((i, n, s.lam))
-    )
+    problem = HingeProblem.from_data(mesh, X, y)
+    solve_path(problem, lambdas=[1.0, 0.5], tol=1e-2, progress=lambda i, n, s: seen.append((i, n, s.lam)))
     assert seen == [(0, 2, 1.0), (1, 2, 0.5)]
 
 

@@ -175,5 +175,6 @@ def _demo(options: argparse.Namespace) -> int:
     _report(path, out, ["x1", "x2"], "y", {})
     truth = np.maximum(1.0 - np.abs(X_val).sum(axis=1), 0.0)
     error = float(np.sqrt(np.mean((path.best.map(X_val) - truth) ** 2)))
-    print(f"error against the noise-free pyramid: {error:.4f} (noise 0.1000), {time.perf_counter() - began:.1f} s in all")
+    seconds = time.perf_counter() - began
+    print(f"error against the noise-free pyramid: {error:.4f} (noise 0.1000), {seconds:.1f} s in all")
     return 0

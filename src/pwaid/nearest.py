@@ -61,7 +61,7 @@ def _nearest_facet(facets, centres, radii, X, result):
                 break
             for mask in range(1, n_faces):
                 squared = _face_distance(facets[f], mask, X[k])
-                if 0.0 <= squared and np.sqrt(squared) < best:
+                if squared >= 0.0 and np.sqrt(squared) < best:
                     best = np.sqrt(squared)
                     result[k] = f
 

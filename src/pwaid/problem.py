@@ -10,7 +10,8 @@ equation by rounding, q = c − H v − Fᵀν, is charged to the bound. The gap
 (P(ŷ) − D) / P(ŷ): every tolerance in pwaid means this number.
 
 Affine functions cost nothing (F annihilates them), so c and yᵀy are taken relative to the best affine fit ŷ_aff:
-this changes neither problem nor gap (‖Fŷ_aff‖₁, zero but for rounding, is charged too) and keeps digits when y has a large mean or trend.
+this changes neither problem nor gap (‖Fŷ_aff‖₁, zero but for rounding, is charged too) and keeps digits when y has
+a large mean or trend.
 """
 
 from __future__ import annotations

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pwaid.errors import InputError, SolverError
+from pwaid.errors import SolverError
 from pwaid.problem import HingeProblem
 from pwaid.solution import Solution
 from pwaid.solve import check_lambda, solve

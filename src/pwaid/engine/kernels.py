@@ -8,7 +8,9 @@ from __future__ import annotations
 import numba
 import numpy as np
 
-__all__ = ["centrality_targets", "complementarity", "expand", "longest_step", "reduce", "second_order", "trial", "weights"]
+__all__ = [
+    "centrality_targets", "complementarity", "expand", "longest_step", "reduce", "second_order", "trial", "weights",
+]
 
 
 @numba.njit(cache=True, error_model="numpy")
