@@ -86,13 +86,23 @@ class NormalMatrix:
         self._work = np.empty(int(m.max(initial=1)) + n)
         self.n_factorisations = 0
 
-    def factorise(self, weights: np.ndarray, shift: float = 0.0) -> bool:
-        """Factorise K for D = diag(weights), its diagonal raised by the fraction `shift`; whether it worked."""
+    def factorise(self, weights: np.ndarray, *, shift: float = 0.0, diagonal: np.ndarray | None = None) -> bool:
+        """Factorise K for D = diag(weights); whether it worked.
+
+        Parameters
+        ----------
+        weights : ndarray, shape (m,)
+        shift : float
+            Raise the diagonal by this fraction of itself, against breakdown by rounding.
+        diagonal : ndarray, shape (n,), optional
+            Put this diagonal matrix in the place of H.
+        """
         self.n_factorisations += 1
         tree = self.tree
-        _fill(
-            self._panels, self._h_places, self._h_values, self._f_starts, self._f_places, self._f_values, weights
-        )
+        values = self._h_values if diagonal is None else self._h_values[:0]
+        _fill(self._panels, self._h_places, values, self._f_starts, self._f_places, self._f_values, weights)
+        if diagonal is not None:
+            self._panels[self._diagonal] += diagonal
         if shift > 0.0:
             self._panels[self._diagonal] *= 1.0 + shift
         integers = np.empty(4, np.int32)
@@ -137,7 +147,7 @@ def _pairs(indptr, indices, data, starts, i, j, values):
 @numba.njit(cache=True)
 def _fill(panels, h_places, h_values, f_starts, f_places, f_values, weights):
     panels[:] = 0.0
-    for e in range(h_places.size):
+    for e in range(h_values.size):
         panels[h_places[e]] += h_values[e]
     for r in range(weights.size):
         w = weights[r]

@@ -24,6 +24,7 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import linalg as sparse_linalg
 
+from pwaid.cholesky import NormalMatrix
 from pwaid.delaunay import SimplexMesh
 from pwaid.errors import InputError
 from pwaid.lerp import barycentric_rows, hinge_matrix
@@ -153,6 +154,15 @@ class HingeProblem:
             if points.ndim != 2 or points.shape[0] != H.shape[0]:
                 raise InputError(f"points have shape {points.shape}; expected ({H.shape[0]}, d)")
         self._points = points
+
+    @cached_property
+    def normal_matrix(self) -> NormalMatrix:
+        """H + FᵀDF for any diagonal D: ordered once, factorised by every solver. Not for several threads at once."""
+        return NormalMatrix(self.H, self.F, self._points)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What is pickled: all but the factorisation, which is large and soon made again."""
+        return {k: v for k, v in self.__dict__.items() if k != "normal_matrix"}
 
     # -- the affine part -------------------------------------------------------------------------------------
 

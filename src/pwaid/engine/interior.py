@@ -17,6 +17,7 @@ fulfils the equation of the certificate; D is small where ν is near its bound, 
 
 from __future__ import annotations
 
+import copy
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -26,7 +27,17 @@ from pwaid.cholesky import NormalMatrix
 from pwaid.engine import kernels
 from pwaid.problem import HingeProblem
 
-__all__ = ["InteriorState", "Operators", "Progress", "advance", "cold_start", "dual_point", "shifted"]
+__all__ = [
+    "Direction",
+    "InteriorState",
+    "Operators",
+    "Progress",
+    "advance",
+    "begin_direction",
+    "cold_start",
+    "dual_point",
+    "shifted",
+]
 
 # Gondzio's correctors: how many at most, how much longer a step each tries, which products it leaves alone.
 CORRECTORS = 4
@@ -35,6 +46,7 @@ LOW, HIGH = 0.1, 10.0
 LEAST_GAIN = 0.01
 TO_BOUNDARY = 0.99
 GOOD_STEP = 0.95
+LEAST_TARGET = 1e-6
 # λ − |ν| stays above this fraction of λ, so that rounding never makes it 0.
 CLEARANCE = 1e-15
 # Diagonal shifts tried, as fractions of the diagonal, when rounding makes a factorisation break down.
@@ -69,9 +81,8 @@ class Operators:
 
     @classmethod
     def of(cls, problem: HingeProblem) -> Operators:
-        """Analyse the pattern once."""
-        F, H = problem.F, problem.H.tocsr()
-        return cls(F, F.T.tocsr(), H, problem.c, NormalMatrix(H, F, problem._points))
+        """The problem's own matrices, in the forms that multiply fast."""
+        return cls(problem.F, problem.F.T.tocsr(), problem.H.tocsr(), problem.c, problem.normal_matrix)
 
 
 @dataclass(frozen=True)
@@ -99,64 +110,74 @@ def shifted(state: InteriorState, lam: float) -> InteriorState:
     return replace(moved, p=state.p + lift, q=state.q + lift)
 
 
-class _Direction:
-    """Δv, Δp, Δq, Δν, built up from several right-hand sides over one factorisation."""
+class Direction:
+    """Δv, Δp, Δq, Δν (and Δλ = 0), built up from several right-hand sides over one factorisation."""
 
     def __init__(self, ops: Operators, state: InteriorState, D: np.ndarray):
         self.ops, self.state, self.D = ops, state, D
         self.dv = np.zeros_like(state.v)
         self.dp, self.dq, self.dnu = (np.zeros_like(state.nu) for _ in range(3))
+        self.dlam = 0.0
 
-    def add(self, rd, rp, ra, rb) -> None:
+    def residuals(self) -> tuple[np.ndarray, np.ndarray]:
+        """What the iterate lacks in c = Hv + Fᵀν and in Fv = p − q."""
         ops, s = self.ops, self.state
-        g = kernels.reduce(self.D, rp, ra, rb, s.nu, s.lam)
-        dv = ops.K.solve(rd + ops.FT @ g)
-        self.dv += dv
-        kernels.expand(self.D, g, ops.F @ dv, ra, rb, s.p, s.q, s.nu, s.lam, self.dnu, self.dp, self.dq)
+        return ops.c - ops.H @ s.v - ops.FT @ s.nu, s.p - s.q - ops.F @ s.v
 
-    def copy(self) -> _Direction:
-        other = _Direction.__new__(_Direction)
-        other.ops, other.state, other.D = self.ops, self.state, self.D
+    def add(self, ra: np.ndarray, rb: np.ndarray, rd: np.ndarray | None = None, rp: np.ndarray | None = None) -> None:
+        """Add the direction of a right-hand side; no rd, rp: zero."""
+        ops, s = self.ops, self.state
+        g = kernels.reduce(self.D, np.zeros_like(ra) if rp is None else rp, ra, rb, s.nu, s.lam)
+        right = ops.FT @ g
+        dv = ops.K.solve(right if rd is None else rd + right)
+        self.dv += dv
+        kernels.expand(
+            self.D * (ops.F @ dv) - g, 0.0, ra, rb, s.p, s.q, s.nu, s.lam, self.dnu, self.dp, self.dq
+        )
+
+    def copy(self) -> Direction:
+        """A copy that can grow on its own."""
+        other = copy.copy(self)
         other.dv, other.dp, other.dq, other.dnu = (x.copy() for x in (self.dv, self.dp, self.dq, self.dnu))
         return other
 
     @property
-    def longest(self) -> float:
+    def parts(self) -> tuple:
+        """What the kernels take of iterate and direction."""
         s = self.state
-        return float(kernels.longest_step(s.p, s.q, s.nu, s.lam, self.dp, self.dq, self.dnu))
+        return s.p, s.q, s.nu, s.lam, self.dp, self.dq, self.dnu, self.dlam
+
+    @property
+    def longest(self) -> float:
+        """The longest step that stays inside."""
+        return float(kernels.longest_step(*self.parts))
 
     def taken(self, step: float) -> InteriorState:
+        """The iterate after the step."""
         s = self.state
-        inside = s.lam * (1.0 - CLEARANCE)
+        lam = s.lam + step * self.dlam
+        inside = lam * (1.0 - CLEARANCE)
         nu = np.clip(s.nu + step * self.dnu, -inside, inside)
-        return InteriorState(s.v + step * self.dv, s.p + step * self.dp, s.q + step * self.dq, nu, s.lam)
+        return InteriorState(s.v + step * self.dv, s.p + step * self.dp, s.q + step * self.dq, nu, lam)
 
 
-def advance(ops: Operators, s: InteriorState) -> Progress | None:
-    """One iteration: factorise, predict, correct, centre, step. None when no factorisation succeeds."""
-    D = kernels.weights(s.p, s.q, s.nu, s.lam)
-    if not any(ops.K.factorise(D, shift) for shift in SHIFTS):
-        return None
-    rd = ops.c - ops.H @ s.v - ops.FT @ s.nu
-    rp = s.p - s.q - ops.F @ s.v
-    direction = _Direction(ops, s, D)
-    direction.add(rd, rp, -s.p * (s.lam - s.nu), -s.q * (s.lam + s.nu))
+def advance(direction: Direction) -> Progress:
+    """One iteration over a fresh factorisation: predict, correct, centre, step."""
+    s = direction.state
+    direction.add(-s.p * (s.lam - s.nu), -s.q * (s.lam + s.nu), *direction.residuals())
     mu, alpha = s.mu, min(1.0, direction.longest)
-    after = kernels.trial(s.p, s.q, s.nu, s.lam, direction.dp, direction.dq, direction.dnu, alpha)
-    target = mu * min(1.0, max(1e-6, (after / mu) ** 3))
-    zero_d, zero_p, ra, rb = np.zeros_like(rd), np.zeros_like(rp), np.empty_like(rp), np.empty_like(rp)
-    kernels.second_order(direction.dp, direction.dq, direction.dnu, target, ra, rb)
-    direction.add(zero_d, zero_p, ra, rb)
+    after = kernels.trial(*direction.parts, alpha)
+    target = mu * min(1.0, max(LEAST_TARGET, (after / mu) ** 3))
+    ra, rb = np.empty_like(s.nu), np.empty_like(s.nu)
+    kernels.second_order(direction.dp, direction.dq, direction.dnu, direction.dlam, target, ra, rb)
+    direction.add(ra, rb)
     alpha = direction.longest
     for _ in range(CORRECTORS):
         if alpha >= GOOD_STEP:
             break
-        kernels.centrality_targets(
-            s.p, s.q, s.nu, s.lam, direction.dp, direction.dq, direction.dnu, min(1.0, alpha + STRETCH),
-            target, LOW, HIGH, ra, rb,
-        )  # fmt: skip
+        kernels.centrality_targets(*direction.parts, min(1.0, alpha + STRETCH), target, LOW, HIGH, ra, rb)
         better = direction.copy()
-        better.add(zero_d, zero_p, ra, rb)
+        better.add(ra, rb)
         longer = better.longest
         gain = longer - alpha
         if gain > 0.0:
@@ -164,7 +185,15 @@ def advance(ops: Operators, s: InteriorState) -> Progress | None:
         if gain < LEAST_GAIN:
             break
     step = min(1.0, TO_BOUNDARY * alpha)
-    return Progress(direction.taken(step), D, step)
+    return Progress(direction.taken(step), direction.D, step)
+
+
+def begin_direction(ops: Operators, s: InteriorState) -> Direction | None:
+    """Factorise for an iterate; None when rounding makes every try break down."""
+    D = kernels.weights(s.p, s.q, s.nu, s.lam)
+    if any(ops.K.factorise(D, shift=shift) for shift in SHIFTS):
+        return Direction(ops, s, D)
+    return None
 
 
 def dual_point(ops: Operators, progress: Progress) -> tuple[np.ndarray, np.ndarray]:

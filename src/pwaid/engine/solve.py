@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 import time
-import weakref
 from typing import Any
 
 import numpy as np
 
-from pwaid.engine.interior import InteriorState, Operators, advance, cold_start, dual_point, shifted
+from pwaid.engine.interior import InteriorState, Operators, advance, begin_direction, cold_start, dual_point, shifted
 from pwaid.errors import InputError
 from pwaid.problem import HingeProblem
 from pwaid.solution import Solution, Status
@@ -19,9 +18,6 @@ __all__ = ["solve_engine"]
 # The iterate kept for the next λ is the first one with a gap below this: later ones lie too near the boundary.
 KEEP_AT = 0.1
 STEPS_WITHOUT_GAIN = 12
-
-# Symbolic analysis and scaled matrices live as long as their problem.
-_operators: weakref.WeakKeyDictionary[HingeProblem, Operators] = weakref.WeakKeyDictionary()
 
 
 def solve_engine(
@@ -64,17 +60,16 @@ def solve_engine(
     if problem.is_affine:
         return _affine(problem, lam, began)
     state = _begin(problem, lam, warm_start)
-    if problem not in _operators:
-        _operators[problem] = Operators.of(problem)
-    ops = _operators[problem]
+    ops = Operators.of(problem)
     best = _Best(problem, lam)
     kept, status, iteration, message = None, Status.MAX_ITERATIONS, 0, ""
     while iteration < max_iterations:
         iteration += 1
-        progress = advance(ops, state)
-        if progress is None or progress.step < 1e-10:
+        direction = begin_direction(ops, state)
+        if direction is None:
             status, message = Status.STALLED, "the reduced system is singular to rounding"
             break
+        progress = advance(direction)
         state = progress.state
         best.see(state.v, *dual_point(ops, progress))
         if kept is None and best.gap <= KEEP_AT:
