@@ -1,4 +1,6 @@
-"""One cell of a piecewise-affine system: what holds while G x + H u + g ≥ 0 (Yamada et al., equations 6-8)."""
+"""One cell of a piecewise-affine system: what holds while G x + H u + g ≥ 0 (Yamada et al., equations
+6-8).
+"""
 
 from __future__ import annotations
 
@@ -38,7 +40,8 @@ class Cell:
     G, g : array_like (r, n), (r,)
         Guards; without them the cell is the whole space.
     H : array_like (r, m), optional
-        How the guards depend on the inputs; zero in the paper's form. Controllers need it: their inputs are measured.
+        How the guards depend on the inputs; zero in the paper's form. Controllers need it: their inputs are
+        measured.
     C, c, D : array_like (p, n), (p,), (p, m), optional
         Outputs; the states when C is not given.
     F, f : array_like (q, n), (q,), optional

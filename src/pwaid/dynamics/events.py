@@ -1,10 +1,11 @@
 """The first crossing of a guard along a flow, certified: p(s) = Σ c_k s^k on 0 ≤ s ≤ 1, p(0) ≥ 0.
 
-A flow is known to this file only through its Taylor polynomials, whose step is chosen by the caller so short that the
-truncation is below rounding. A polynomial on [0, 1] lies in the convex hull of its Bernstein coefficients. If they are
-all positive there is no crossing; if their signs change once there is exactly one; otherwise the interval is halved
-(de Casteljau), left half first. So two crossings within one step, or a short dip through a guard, are never missed,
-down to a depth of `TOLERANCE` times the size of the terms that make up the guard.
+A flow is known to this file only through its Taylor polynomials, whose step is chosen by the caller so
+short that the truncation is below rounding. A polynomial on [0, 1] lies in the convex hull of its Bernstein
+coefficients. If they are all positive there is no crossing; if their signs change once there is exactly
+one; otherwise the interval is halved (de Casteljau), left half first. So two crossings within one step, or
+a short dip through a guard, are never missed, down to a depth of `TOLERANCE` times the size of the terms
+that make up the guard.
 """
 
 from __future__ import annotations
@@ -28,7 +29,9 @@ _DEPTH = 48
 
 @njit(cache=True)
 def entry_sign(c, tol):
-    """Sign of p just after s = 0: that of the first coefficient which is not zero to `tol`; 0 if there is none."""
+    """Sign of p just after s = 0: that of the first coefficient which is not zero to `tol`; 0 if there is
+    none.
+    """
     for k in range(DEGREE + 1):
         if c[k] > tol:
             return 1
@@ -108,7 +111,8 @@ def _first_in_bernstein(c, b, tol):
 def clear_start(c, tol):
     """Set the leading coefficients that are zero to `tol` to zero, in place: the motion starts on the guard.
 
-    It then leaves by the sign of the first coefficient that is not zero, which is how `first_crossing` decides.
+    It then leaves by the sign of the first coefficient that is not zero, which is how `first_crossing`
+    decides.
     """
     for k in range(DEGREE + 1):
         if abs(c[k]) > tol:

@@ -1,9 +1,11 @@
-"""The flow of a piecewise-affine system between and across guards: ẋ = A_i x + a_i + B_i u while G_i x + H_i u + g_i ≥ 0.
+"""The flow of a piecewise-affine system between and across guards: ẋ = A_i x + a_i + B_i u while G_i x +
+H_i u + g_i ≥ 0.
 
-In one cell, with u held, the flow is the matrix exponential of [[A, a + B u], [0, 0]]. Here it is a Taylor polynomial
-of degree 16 on steps h with ‖A‖ h ≤ 0.7 in a balanced norm, so that the remainder (0.7^17 / 17! = 7e-18) is below
-rounding: the matrix exponential without squaring. The same polynomial gives every guard as a polynomial of time, whose
-first crossing `pwaid.dynamics.events` certifies. Nothing here depends on the times at which a caller wants samples.
+In one cell, with u held, the flow is the matrix exponential of [[A, a + B u], [0, 0]]. Here it is a Taylor
+polynomial of degree 16 on steps h with ‖A‖ h ≤ 0.7 in a balanced norm, so that the remainder (0.7^17 / 17!
+= 7e-18) is below rounding: the matrix exponential without squaring. The same polynomial gives every guard
+as a polynomial of time, whose first crossing `pwaid.dynamics.events` certifies. Nothing here depends on the
+times at which a caller wants samples.
 """
 
 from __future__ import annotations
@@ -23,7 +25,9 @@ STEP = 0.7
 
 
 class FlowTables(NamedTuple):
-    """Every cell's matrices, padded to one shape, as the compiled loop wants them (m cells, R rows at most)."""
+    """Every cell's matrices, padded to one shape, as the compiled loop wants them (m cells, R rows at
+    most).
+    """
 
     A: np.ndarray  # (m, n, n)
     a: np.ndarray  # (m, n)
@@ -105,7 +109,8 @@ def holds(tab, cell, x, u, span, X, c):
 
 @njit(cache=True)
 def choose(tab, x, u, current, span):
-    """The cell in which the motion goes on from x, and whether another cell would do as well with another velocity.
+    """The cell in which the motion goes on from x, and whether another cell would do as well with another
+    velocity.
 
     Returns -1 when no cell agrees with its own flow: the motion slides, or leaves the partition.
     """
@@ -132,7 +137,9 @@ def choose(tab, x, u, current, span):
 
 @njit(cache=True)
 def _first_event(tab, cell, X, u, h, h_full):
-    """First guard of `cell` that ends within h, as a share of h, and its row; X is scaled to h_full ≥ h on entry."""
+    """First guard of `cell` that ends within h, as a share of h, and its row; X is scaled to h_full ≥ h on
+    entry.
+    """
     c = np.empty(DEGREE + 1)
     first, which = NO_CROSSING, -1
     ratio = h / h_full
@@ -158,8 +165,18 @@ def _at(X, s, x):
 
 
 @njit(cache=True)
+def _accumulates(times, count, number, within):
+    """Whether the last `number` crossings lie closer than `within`, the later half closer than the earlier."""
+    if count < number:
+        return False
+    last, middle, first = times[count - 1], times[count - 1 - number // 2], times[count - number]
+    return last - first < within and last - middle <= 0.9 * (middle - first)
+
+
+@njit(cache=True)
 def run(tab, time, inputs, x, state, now, states, cells, events, limit, zeno_events, zeno_time):
-    """Move (x, state, now) on until the last sample, or until a reason to stop; fill samples and events on the way.
+    """Move (x, state, now) on until the last sample, or until a reason to stop; fill samples and events on
+    the way.
 
     Parameters
     ----------
@@ -175,7 +192,7 @@ def run(tab, time, inputs, x, state, now, states, cells, events, limit, zeno_eve
     limit : float
         |x| beyond which the motion has diverged.
     zeno_events, zeno_time : int, float
-        That many events within that time are an accumulation of events.
+        That many events within that time, ever closer, are an accumulation of events.
     """
     N = time.size
     X = np.empty((DEGREE + 1, x.size))
@@ -218,7 +235,7 @@ def run(tab, time, inputs, x, state, now, states, cells, events, limit, zeno_eve
                     return NO_CELL
                 cell = following
                 state[1] = cell
-                if state[0] >= zeno_events and now[0] - events.time[state[0] - zeno_events] < zeno_time:
+                if _accumulates(events.time, state[0], zeno_events, zeno_time):
                     return ZENO
         state[3] = hold_end
         if hold_end == N - 1:

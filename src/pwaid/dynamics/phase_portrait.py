@@ -1,4 +1,6 @@
-"""Phase portraits as arrays: trajectories and the velocity field in a plane of the state space. Drawing is elsewhere."""
+"""Phase portraits as arrays: trajectories and the velocity field in a plane of the state space. Drawing is
+elsewhere.
+"""
 
 from __future__ import annotations
 

@@ -1,4 +1,6 @@
-"""Borders between cells: which cells meet, and by how much the vector field jumps where they do (equation 8)."""
+"""Borders between cells: which cells meet, and by how much the vector field jumps where they do (equation
+8).
+"""
 
 from __future__ import annotations
 
@@ -27,7 +29,8 @@ class Border:
     jump : float
         Largest component of |(A_i − A_j) x + a_i − a_j| on the facet; infinite when it grows without bound.
     where : ndarray (n,) or None
-        A point of the facet with that jump (with an infinite jump, one on the way there); None when there is no jump.
+        A point of the facet with that jump (with an infinite jump, one on the way there); None when there
+        is no jump.
     state : int
         The component that jumps most.
     input_jump : float
@@ -69,7 +72,9 @@ def interior_point(G, g, equality=None, bounds=None):
 
 
 def has_interior(cell: Cell) -> bool:
-    """Whether the cell has inner points (at zero input, unless its guards depend on inputs: then for some input)."""
+    """Whether the cell has inner points (at zero input, unless its guards depend on inputs: then for some
+    input).
+    """
     G = np.hstack([cell.G, cell.H])
     lengths = np.linalg.norm(G, axis=1)
     if (cell.g[lengths == 0] < 0).any():

@@ -8,7 +8,7 @@ import control
 import numpy as np
 
 from pwaid.dynamics.cell import Cell
-from pwaid.dynamics.pwa_borders import interior_point, has_interior
+from pwaid.dynamics.pwa_borders import has_interior, interior_point
 from pwaid.dynamics.pwa_system import PWASystem
 from pwaid.errors import InputError
 
@@ -16,7 +16,9 @@ __all__ = ["cells_of_hyperplanes", "from_nlsys", "to_nlsys"]
 
 
 def to_nlsys(system: PWASystem, name: str | None = None) -> control.NonlinearIOSystem:
-    """The system as a `control.NonlinearIOSystem` with the same signal names; on borders the first cell counts."""
+    """The system as a `control.NonlinearIOSystem` with the same signal names; on borders the first cell
+    counts.
+    """
 
     def update(t, x, u, params):
         return system.velocity(x, np.atleast_1d(u))
@@ -29,7 +31,9 @@ def to_nlsys(system: PWASystem, name: str | None = None) -> control.NonlinearIOS
 
 
 def cells_of_hyperplanes(normals, offsets) -> list[tuple[np.ndarray, np.ndarray]]:
-    """The cells (G, g) into which the hyperplanes normals·x + offsets = 0 cut the space; those with an interior."""
+    """The cells (G, g) into which the hyperplanes normals·x + offsets = 0 cut the space; those with an
+    interior.
+    """
     G, g = np.atleast_2d(np.asarray(normals, dtype=float)), np.atleast_1d(np.asarray(offsets, dtype=float))
     if g.shape != (len(G),):
         raise InputError(f"{len(G)} normals and offsets of shape {g.shape}; expected one offset per normal")

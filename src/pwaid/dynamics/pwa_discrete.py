@@ -1,9 +1,10 @@
-"""Sampled piecewise-affine systems: zero-order hold and Tustin, one map per cell, cells looked up at the samples.
+"""Sampled piecewise-affine systems: zero-order hold and Tustin, one map per cell, cells looked up at the
+samples.
 
-Zero-order hold is exact while a motion stays in one cell and the input is held; a crossing inside a sampling interval is
-seen only at the next sample, with an error that the continuous simulation does not have. Tustin keeps the state
-physical, so that guards keep their meaning: x⁺ = x + (T/2)(A x + A x⁺ + B u + B u⁺) + T a; from u to y in one cell
-it is the bilinear transform of the transfer function.
+Zero-order hold is exact while a motion stays in one cell and the input is held; a crossing inside a
+sampling interval is seen only at the next sample, with an error that the continuous simulation does not
+have. Tustin keeps the state physical, so that guards keep their meaning: x⁺ = x + (T/2)(A x + A x⁺ + B u +
+B u⁺) + T a; from u to y in one cell it is the bilinear transform of the transfer function.
 """
 
 from __future__ import annotations
@@ -22,7 +23,8 @@ __all__ = ["DiscretePWASystem", "discretise"]
 
 @dataclass(frozen=True)
 class DiscretePWASystem:
-    """x[k+1] = A_i x[k] + a_i + B_i u[k] + E_i u[k+1] and y[k] = C_i x[k] + c_i + D_i u[k] in the cell i of (x[k], u[k]).
+    """x[k+1] = A_i x[k] + a_i + B_i u[k] + E_i u[k+1] and y[k] = C_i x[k] + c_i + D_i u[k] in the cell i of
+    (x[k], u[k]).
 
     Attributes
     ----------

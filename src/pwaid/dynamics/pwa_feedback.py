@@ -1,7 +1,8 @@
 """Piecewise-affine plant and piecewise-affine controller, connected by signal names: again a PWA system.
 
-Every cell of the closed loop is a pair (cell of the plant, cell of the controller); pairs without interior are left
-out. So the drive with backlash (3 cells) under switched damping (4 cells) has the 12 cells of Yamada et al., III-C.3.
+Every cell of the closed loop is a pair (cell of the plant, cell of the controller); pairs without interior
+are left out. So the drive with backlash (3 cells) under switched damping (4 cells) has the 12 cells of
+Yamada et al., III-C.3.
 """
 
 from __future__ import annotations
@@ -17,16 +18,19 @@ __all__ = ["close_loop"]
 
 
 def _picker(wanted, available) -> np.ndarray:
-    """0/1 matrix that takes the signals `available` to the signals `wanted`; rows of zeros for those not there."""
+    """0/1 matrix that takes the signals `available` to the signals `wanted`; rows of zeros for those not
+    there.
+    """
     return np.array([[float(w == a) for a in available] for w in wanted]).reshape(len(wanted), len(available))
 
 
 def close_loop(plant: PWASystem, controller: PWASystem, name: str = "closed loop") -> PWASystem:
     """Connect a plant and a controller that has states of its own or none.
 
-    Plant outputs go to the controller inputs of the same name, controller outputs to the plant inputs of the same
-    name. The inputs of neither kind stay inputs of the closed loop (references first, then disturbances); its outputs
-    are the plant's outputs and then the controller's; its states the plant's and then the controller's.
+    Plant outputs go to the controller inputs of the same name, controller outputs to the plant inputs of
+    the same name. The inputs of neither kind stay inputs of the closed loop (references first, then
+    disturbances); its outputs are the plant's outputs and then the controller's; its states the plant's and
+    then the controller's.
 
     Parameters
     ----------
@@ -39,8 +43,8 @@ def close_loop(plant: PWASystem, controller: PWASystem, name: str = "closed loop
     Raises
     ------
     InputError
-        No common signal in one of the directions; names used twice; or an algebraic loop: a plant output that the
-        controller measures depends on the plant input without delay.
+        No common signal in one of the directions; names used twice; or an algebraic loop: a plant output
+        that the controller measures depends on the plant input without delay.
     """
     measured = [y for y in plant.outputs if y in controller.inputs]
     driven = [u for u in plant.inputs if u in controller.outputs]

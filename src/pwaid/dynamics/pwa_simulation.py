@@ -1,4 +1,6 @@
-"""Simulation of piecewise-affine systems: samples, crossings, sliding, and the reason why a simulation ended."""
+"""Simulation of piecewise-affine systems: samples, crossings, sliding, and the reason why a simulation
+ended.
+"""
 
 from __future__ import annotations
 
@@ -8,7 +10,18 @@ from enum import Enum
 import numpy as np
 
 from pwaid.dynamics.cell import Cell
-from pwaid.dynamics.flow import DIVERGED, DONE, FULL, NO_CELL, ZENO, Events, FlowTables, choose, natural_step, run
+from pwaid.dynamics.flow import (
+    DIVERGED,
+    DONE,
+    FULL,
+    NO_CELL,
+    ZENO,
+    Events,
+    FlowTables,
+    choose,
+    natural_step,
+    run,
+)
 from pwaid.dynamics.sliding import Slide, find_slide, touching
 from pwaid.errors import InputError
 
@@ -38,7 +51,8 @@ class Crossings:
     guard : ndarray of int (E,)
         The row of the cell before that ended the stay; -1 when a jump of the input did.
     ambiguous : ndarray of bool (E,)
-        More than one cell would have been a continuation (flows that part at the border); the first was taken.
+        More than one cell would have been a continuation (flows that part at the border); the first was
+        taken.
     """
 
     time: np.ndarray
@@ -61,7 +75,8 @@ class PWATrajectory:
     time, states, inputs, outputs : ndarray (N,), (N, n), (N, m), (N, p)
         At a crossing the value just after it.
     cells : ndarray of int (N,)
-        The cell of each sample; an index ≥ the number of cells means sliding, on ``slides[index − number of cells]``.
+        The cell of each sample; an index ≥ the number of cells means sliding, on ``slides[index − number of
+        cells]``.
     crossings : Crossings
     slides : tuple of Slide
         Where and when the motion slid, also when it stopped there.
@@ -176,11 +191,11 @@ class _Motion:
 
 
 def simulate_cells(cells, time, inputs=None, x0=None, *, sliding="stop", limit=1e9, max_events=100_000,
-                   zeno_events=12, zeno_time=None, step_scale=1.0) -> PWATrajectory:  # fmt: skip
+                   zeno_events=9, zeno_time=None, step_scale=1.0) -> PWATrajectory:  # fmt: skip
     """Simulate; see `pwaid.dynamics.pwa_system.PWASystem.simulate`."""
     time, u, x = _checked(cells, time, inputs, x0, sliding)
     motion = _Motion(cells, time, u, x, max_events, step_scale)
-    zeno_time = 1e-9 * (time[-1] - time[0]) if zeno_time is None else zeno_time
+    zeno_time = 1e-7 * (time[-1] - time[0]) if zeno_time is None else zeno_time
     motion.state[1] = motion.choose()
     status = motion.slide(sliding) if motion.state[1] < 0 else None
     codes = {DONE: PWAStatus.DONE, ZENO: PWAStatus.ZENO, DIVERGED: PWAStatus.DIVERGED, FULL: PWAStatus.TOO_MANY_EVENTS}
@@ -196,7 +211,9 @@ def simulate_cells(cells, time, inputs=None, x0=None, *, sliding="stop", limit=1
 
 
 def _outputs(motion: _Motion, count: int, u: np.ndarray) -> np.ndarray:
-    """Outputs of the samples; while sliding, the same mixture of the neighbours' outputs as of their velocities."""
+    """Outputs of the samples; while sliding, the same mixture of the neighbours' outputs as of their
+    velocities.
+    """
     y = np.empty((count, motion.cells[0].C.shape[0]))
     for index in np.unique(motion.index[:count]):
         at = np.flatnonzero(motion.index[:count] == index)

@@ -1,8 +1,9 @@
 """Continuous-time piecewise-affine systems in the form of Yamada, Ruderman and Fujimoto, equations (6)-(8).
 
-ẋ = A_i x + a_i + B_i u and y = C_i x + c_i + D_i u while G_i x + H_i u + g_i ≥ 0, with closed polyhedral cells whose
-interiors are disjoint. Inputs are held between samples. Simulation is exact to rounding between crossings, crossings
-are located, and none is missed (`flow`, `events`). What a motion does on a border is decided by the flow just after.
+ẋ = A_i x + a_i + B_i u and y = C_i x + c_i + D_i u while G_i x + H_i u + g_i ≥ 0, with closed polyhedral
+cells whose interiors are disjoint. Inputs are held between samples. Simulation is exact to rounding between
+crossings, crossings are located, and none is missed (`flow`, `events`). What a motion does on a border is
+decided by the flow just after.
 """
 
 from __future__ import annotations
@@ -61,7 +62,7 @@ class PWASystem:
         n, m, p = sizes[0]
         object.__setattr__(self, "states", _names(self.states, n, "x", "state"))
         object.__setattr__(self, "inputs", _names(self.inputs, m, "u", "input"))
-        default_outputs = self.states if self.outputs is None and p == n and (cells[0].C == np.eye(n)).all() else None
+        default_outputs = self.states if self.outputs is None and p == n and (np.eye(n) == cells[0].C).all() else None
         object.__setattr__(self, "outputs", _names(self.outputs or default_outputs, p, "y", "output"))
 
     def simulate(self, time, inputs=None, x0=None, **options) -> PWATrajectory:
@@ -76,13 +77,15 @@ class PWASystem:
         x0 : array_like (n,), optional
             Initial state, zero when not given. It may lie on a guard: the flow just after decides.
         sliding : {"stop", "filippov"}
-            What to do where two flows push towards their border: end with status SLIDING, or go on along it by
-            Filippov's convention where that is affine (`pwaid.dynamics.sliding`). Either way it is in ``slides``.
+            What to do where two flows push towards their border: end with status SLIDING, or go on along it
+            by Filippov's convention where that is affine (`pwaid.dynamics.sliding`). Either way it is in
+            ``slides``.
         limit : float
             |x| beyond which the motion has diverged.
         max_events : int
         zeno_events, zeno_time : int, float
-            This many crossings within this time (default: 1e-9 of the whole) end the simulation with status ZENO.
+            This many crossings (9) within this time (1e-7 of the whole), ever closer, end the simulation with
+            status ZENO.
         step_scale : float
             Multiplies the internal step, for refinement studies; 1 or less.
 
@@ -125,8 +128,8 @@ class PWASystem:
         Parameters
         ----------
         bounds : sequence of (low, high), optional
-            Box in the states within which the largest jump is sought; the whole space when not given (then a jump
-            that grows without bound is reported as infinite). Inputs are held at zero.
+            Box in the states within which the largest jump is sought; the whole space when not given (then
+            a jump that grows without bound is reported as infinite). Inputs are held at zero.
 
         Returns
         -------

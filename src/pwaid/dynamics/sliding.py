@@ -1,9 +1,10 @@
 """Sliding: on a surface where the flows of both neighbours push towards it, the motion stays on the surface.
 
-Filippov's convention: the velocity is the mixture α v_i + (1 − α) v_j that is tangent to the surface s·x + s0 = 0. Where
-the jump v_i − v_j has one direction d on the whole surface (dry friction, relays), the mixture is P v_j with
-P = I − d sᵀ / (sᵀ d): affine, so sliding is one more cell, whose guards are that both neighbours still push towards the
-surface. Where the direction varies, the sliding velocity is not affine, and this file says so instead of guessing.
+Filippov's convention: the velocity is the mixture α v_i + (1 − α) v_j that is tangent to the surface s·x +
+s0 = 0. Where the jump v_i − v_j has one direction d on the whole surface (dry friction, relays), the
+mixture is P v_j with P = I − d sᵀ / (sᵀ d): affine, so sliding is one more cell, whose guards are that both
+neighbours still push towards the surface. Where the direction varies, the sliding velocity is not affine,
+and this file says so instead of guessing.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ class Slide:
     cells : (int, int)
         The neighbours (i, j).
     normal, offset : ndarray (n,), float
-        The surface normal·x + offset = 0 (with the held input's part in the offset), positive on the side of j.
+        The surface normal·x + offset = 0 (with the held input's part in the offset), positive on the side
+        of j.
     start, stop : float
         Seconds; stop is NaN when the simulation ended on the surface.
     state : ndarray (n,)
@@ -51,7 +53,9 @@ class Slide:
 
 
 def touching(cells, x: np.ndarray, u: np.ndarray, steps) -> list[int]:
-    """Cells whose closure holds (x, u), to `NEAR` of the terms and of what moves in a step (seconds, one per cell)."""
+    """Cells whose closure holds (x, u), to `NEAR` of the terms and of what moves in a step (seconds, one
+    per cell).
+    """
     found = []
     for i, (cell, step) in enumerate(zip(cells, steps, strict=True)):
         reach = np.abs(x) + step * np.abs(cell.velocity(x, u))
