@@ -16,11 +16,12 @@ import control
 import numpy as np
 from numba import njit
 
-from pwaid.dynamics.dry_friction import Drive, DryFriction, advance, drive_tables
+from pwaid.dynamics.dry_friction import Drive, DryFriction, advance, check_events, drive_tables
 from pwaid.errors import InputError
 from pwaid.systems.yamada2018 import DAMPINGS, K_B, PDGains, TwoInertia, pd_gains
 
-__all__ = ["Bench", "BenchRun", "LoopController", "half_gap", "nominal_simulator", "run_loop", "slow_sine"]
+__all__ = ["Bench", "BenchRun", "LoopController", "half_gap", "nominal_simulator", "run_loop", "slow_sine",
+           "step_reference"]  # fmt: skip
 
 STATES = ("theta_M", "omega_M", "theta_L", "omega_L")
 UNITS = {"t": "s", "reference": "rad", "T_M": "N m", "theta_M": "rad", "theta_L": "rad", "T_s": "N m"}
@@ -227,8 +228,9 @@ class Bench:
             raise InputError(f"x0 = {x}, oversample = {oversample}; expected 4 finite states {STATES} and at least 1")
         coefficients = np.zeros(9) if controller is None else controller.coefficients()
         state = np.zeros(6) if controller is None else controller.start(x[0], x[2])
-        states, T_M, mode = _loop(self.drive(step_scale), signal, controller is None, coefficients, state, x,
+        states, T_M, mode, lowest = _loop(self.drive(step_scale), signal, controller is None, coefficients, state, x,
                                   self.quantum, 1 / self.rate, oversample)  # fmt: skip
+        check_events(lowest)
         if not np.isfinite(states).all() or np.abs(states).max() > 1e9:
             raise InputError("the loop diverged; check the signs and sizes of the controller's gains")
         contact = mode[:, 0]
@@ -274,7 +276,8 @@ def _read(angle, quantum: float):
 
 @njit(cache=True)
 def _loop(drive, signal, is_open, coefficients, state, x, quantum, period, oversample):
-    """States, torque and mode at every recorded sample."""
+    """States, torque and mode at every recorded sample; and the least that `advance` returned."""
+    lowest = 0
     N = signal.size * oversample
     states, T_M = np.empty((N, 4)), np.empty(N)
     mode = np.zeros(1 + drive.inertia.size, dtype=np.int64)
@@ -289,8 +292,8 @@ def _loop(drive, signal, is_open, coefficients, state, x, quantum, period, overs
             advance(drive, mode, x, held, 0.0)
             row = k * oversample + j
             states[row], T_M[row], modes[row] = x, held[0], mode
-            advance(drive, mode, x, held, period / oversample)
-    return states, T_M, modes
+            lowest = min(lowest, advance(drive, mode, x, held, period / oversample))
+    return states, T_M, modes, lowest
 
 
 def step_reference(duration: float, rate: float = 2500.0, size: float = 0.30, at: float = 0.010) -> np.ndarray:
@@ -310,10 +313,11 @@ def slow_sine(bench: Bench | None = None, amplitude: float = 0.04, frequency: fl
     return bench.open_loop(amplitude * np.sin(2 * np.pi * frequency * t), **options)
 
 
-def half_gap(theta_M, theta_L) -> float:
+def half_gap(theta_M, theta_L, T_s=None, K: float = TwoInertia.K) -> float:
     """Half the backlash, read from both encoders: half the distance of the two plateaus of θ_M − θ_L, rad.
 
-    A plateau is the median of the upper (lower) part, beyond 90 % of the way from the middle to the extreme.
+    A plateau is the median of the upper (lower) part, beyond 90 % of the way from the middle to the extreme. Where the
+    joint torque T_s was recorded too, the joint's own twist T_s / K is taken off first.
 
     Raises
     ------
@@ -321,6 +325,8 @@ def half_gap(theta_M, theta_L) -> float:
         Too few samples, or samples on one plateau only (the motor never crossed the gap).
     """
     twist = np.asarray(theta_M, dtype=float) - np.asarray(theta_L, dtype=float)
+    if T_s is not None:
+        twist = twist - np.asarray(T_s, dtype=float) / K
     if twist.ndim != 1 or twist.size < 10 or not np.isfinite(twist).all():
         raise InputError(f"angles of shape {twist.shape}; expected two finite recordings of at least 10 samples")
     middle, reach = (twist.max() + twist.min()) / 2, (twist.max() - twist.min()) / 2
