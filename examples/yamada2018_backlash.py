@@ -59,7 +59,7 @@ def figures(runs, loads, portraits, directory):
             t, y, _ = results[kind]
             at = (t >= window[0]) & (t <= window[1])
             colour, line = STYLE[kind]
-            ax.plot(t[at], scale * y[signal][at], line, color=colour, label=f"{kind} damping", lw=1.2)
+            ax.plot(t[at], scale * y[signal][at], line, color=colour, label=f"{kind} damping".replace("none", "no"), lw=1.2)
         ax.set(xlabel="time [s]", ylabel=label, xlim=window)
         ax.grid(alpha=0.3)
 
@@ -81,7 +81,7 @@ def figures(runs, loads, portraits, directory):
     axes[0].grid(alpha=0.3)
     panel(axes[1], loads, "theta_L", "load-side angle [mrad]  (Fig. 6)", (0.0, 0.30), 1e3)
     panel(axes[2], loads, "T_s", "joint torque [N m]  (Fig. 7)", (0.0, 0.30))
-    axes[1].legend()
+    axes[1].legend(loc="lower right")
     save(figure, directory / "yamada_disturbance.png", plt)
 
     figure, axes = plt.subplots(1, 2, figsize=(10, 4))
