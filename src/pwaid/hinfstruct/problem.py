@@ -213,7 +213,8 @@ def fixed_responses(model: StructuredModel, rng=None) -> tuple[np.ndarray | None
     base = _probe(model)
     at_zero, at_infinity = [], []
     for _ in range(12):
-        m = model.matrices(base * rng.uniform(0.6, 1.4, model.size))
+        shifted = np.where(base == 0, rng.uniform(-1, 1, model.size), base * rng.uniform(0.6, 1.4, model.size))
+        m = model.matrices(np.clip(shifted, *model.bounds))
         if np.linalg.matrix_rank(m.A) == m.order:
             at_zero.append(m.at_zero())
         at_infinity.append(m.D)
