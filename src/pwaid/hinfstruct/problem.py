@@ -157,6 +157,10 @@ class MatchingProblem:
         stacked = np.concatenate(parts) / np.sqrt(omega.size)
         return np.concatenate([stacked.real, stacked.imag])
 
+    def static_gains(self) -> list[np.ndarray | None]:
+        """G(0) of each model where it does not depend on theta, None where it does."""
+        return [fixed_responses(model)[0] for model in self.models]
+
     def lower_bound(self, rng=None) -> tuple[float, str]:
         """A value no theta can beat, from frequencies where the structure fixes the response; and where it comes from.
 

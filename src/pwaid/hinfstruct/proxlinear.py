@@ -4,44 +4,20 @@
 
 is the linearised problem (18) kept whole: no cutting planes, the spectral norm of each linearised error enters as a
 positive semidefinite cone. Trial frequencies of a rejected step join the set. d is relative: theta + scale * d.
-The dual multipliers of the last problem give the stationarity measure that ends the iteration.
+The iteration ends when the unweighted local model promises nothing more.
 """
 
 from __future__ import annotations
-
-from dataclasses import dataclass
 
 import clarabel
 import numpy as np
 import scipy.sparse as sp
 
+from pwaid.hinfstruct.nonsmooth import NonsmoothRun
 from pwaid.hinfstruct.problem import ActiveSet, MatchingProblem
 from pwaid.hinfstruct.smooth import parameter_scale
 
-__all__ = ["ProxLinearRun", "prox_linear"]
-
-
-@dataclass(frozen=True)
-class ProxLinearRun:
-    """Where a nonsmooth method ended.
-
-    Attributes
-    ----------
-    theta : array
-    value : float
-        max_i ||error_i||_inf at theta.
-    predicted : float
-        Relative decrease that the last local model still promises; below ``tol`` when converged.
-    converged : bool
-    trace : array, shape (iterations + 1,)
-        The value after each iteration.
-    """
-
-    theta: np.ndarray
-    value: float
-    predicted: float
-    converged: bool
-    trace: np.ndarray
+__all__ = ["prox_linear"]
 
 
 def prox_linear(
@@ -53,7 +29,7 @@ def prox_linear(
     fraction: float = 0.5,
     radius: float = 0.5,
     target: float = 0.0,
-) -> ProxLinearRun:
+) -> NonsmoothRun:
     """Minimise the H-infinity error from a stable start.
 
     Parameters
@@ -69,7 +45,7 @@ def prox_linear(
     """
     found = problem.active(theta, fraction)
     if found is None:
-        return ProxLinearRun(theta, np.inf, np.inf, False, np.array([np.inf]))
+        return NonsmoothRun(theta, np.inf, np.inf, False, np.array([np.inf]))
     value, active = found
     scale = parameter_scale(theta)
     low, high = problem.bounds
@@ -77,7 +53,7 @@ def prox_linear(
     extra: list[tuple[int, float]] = []
     for _ in range(max_iterations):
         if value <= target * (1 + 1e-4) or value <= 1e-13:
-            return ProxLinearRun(theta, value, 0.0, True, np.array(trace))
+            return NonsmoothRun(theta, value, 0.0, True, np.array(trace))
         model = _with_extra(problem, theta, active, extra)
         step, bound = _solve(model, scale, mu, radius, (low - theta) / scale, (high - theta) / scale)
         if step is None:
@@ -89,7 +65,7 @@ def prox_linear(
         if predicted <= tol:
             # A heavily weighted step promises little by itself: ask the unweighted model before stopping.
             if mu <= 1e-3 * value:
-                return ProxLinearRun(theta, value, max(predicted, 0.0), True, np.array(trace))
+                return NonsmoothRun(theta, value, max(predicted, 0.0), True, np.array(trace))
             mu = 1e-4 * value
             continue
         trial = problem.active(theta + scale * step, fraction)
@@ -106,7 +82,7 @@ def prox_linear(
         trace.append(value)
         if mu > 1e8 * value:
             break
-    return ProxLinearRun(theta, value, float(predicted), False, np.array(trace))
+    return NonsmoothRun(theta, value, float(predicted), False, np.array(trace))
 
 
 def _with_extra(problem: MatchingProblem, theta: np.ndarray, active: ActiveSet, extra) -> ActiveSet:

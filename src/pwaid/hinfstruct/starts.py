@@ -2,8 +2,8 @@
 
 * `velocity_loop_start`: closed form for flexible arms with velocity loops, eq. (32); exact on noise-free models.
 * `printed_start_system`: the linear equations (34) of Vizer et al. (2014), which fix 28 of the 36 unknowns only.
-* `null_space_start`: any affine pattern. The known entries give equations linear in T = S^-1; in their null space the
-  remaining bilinear equations are solved by Gauss-Newton from several random points (after Prot, Mercère & Ramos 2012).
+* `null_space_start`: any affine pattern. Combinations of the similarity equations without theta are linear in S; in
+  their null space the others are solved by Gauss-Newton from several random points (after Prot, Mercère & Ramos 2012).
 """
 
 from __future__ import annotations
@@ -87,18 +87,19 @@ def printed_start_system(target, output) -> tuple[np.ndarray, np.ndarray]:
     return np.vstack(rows), np.concatenate(right)
 
 
-def null_space_start(model: StructuredModel, target, *, restarts: int = 30, rng=None) -> np.ndarray:
+def null_space_start(model: StructuredModel, target, *, restarts: int = 40, rng=None) -> np.ndarray:
     """theta of an affine structured model from a black-box model of the same order.
 
-    Minimises the bilinear residual T A = A(theta) T, T B = B(theta), C = C(theta) T over the T that satisfy those of
-    these equations that are free of theta, with theta eliminated by least squares.
+    Minimises the bilinear residual of A_bb S = S A(theta), B_bb = S B(theta), C_bb S = C(theta) over the S that satisfy
+    those combinations of these equations that are free of theta, with theta eliminated by least squares. The dual
+    equations (in S^-1) are used instead when they leave fewer unknowns.
 
     Raises
     ------
     InputError
         The model is not affine, or the orders differ.
     SolverError
-        No random start gave an invertible T.
+        No random start gave an invertible S.
     """
     m = as_matrices(target, "target")
     if not model.affine:
@@ -107,63 +108,70 @@ def null_space_start(model: StructuredModel, target, *, restarts: int = 30, rng=
     if constant.order != m.order:
         raise InputError(f"the target has order {m.order} and the structure {constant.order}; balance(target, order=) first")
     rng = np.random.default_rng(rng)
-    slopes = model.differentiate(np.zeros(model.size))
-    matrix, right = _linear_part(m, constant, slopes)
-    particular = np.linalg.lstsq(matrix, right, rcond=None)[0]
-    basis = scipy.linalg.null_space(matrix, rcond=1e-9)
+    primal = (m, constant, model.differentiate(np.zeros(model.size))[:3])
+    forms = [(form, *_linear_solutions(*form)) for form in (primal, _dual(*primal))]
+    form, particular, basis = min(forms, key=lambda f: f[2].shape[1])
     n = m.order
+    size = np.linalg.norm(particular) + 1.0
 
-    def at(z):
-        T = (particular + basis @ z).reshape(n, n, order="F")
-        return T, *_best_theta(T, m, constant, slopes)
+    def residual(z):
+        return _best_theta((particular + basis @ z).reshape(n, n, order="F"), *form)[1]
 
     best, best_cost = None, np.inf
-    size = np.linalg.norm(particular) + 1.0
-    for _ in range(restarts):
-        z = size * rng.standard_normal(basis.shape[1]) / np.sqrt(max(basis.shape[1], 1))
-        try:
-            run = scipy.optimize.least_squares(lambda z: at(z)[2], z, method="trf", x_scale="jac", max_nfev=200)
-        except (np.linalg.LinAlgError, ValueError):
-            continue
-        T, theta, residual = at(run.x)
-        if np.isfinite(residual).all() and np.linalg.cond(T) < 1e12 and run.cost < best_cost:
-            best, best_cost = theta, run.cost
-        if best_cost < 1e-20:
+    for _ in range(restarts if basis.shape[1] else 1):
+        z = size * 10 ** rng.uniform(-1, 1.5) * rng.standard_normal(basis.shape[1]) / np.sqrt(max(basis.shape[1], 1))
+        if basis.shape[1]:
+            z = scipy.optimize.least_squares(residual, z, x_scale="jac", max_nfev=100, ftol=1e-12, xtol=1e-12).x
+        S = (particular + basis @ z).reshape(n, n, order="F")
+        theta, gap = _best_theta(S, *form)
+        cost = float(gap @ gap)
+        if np.isfinite(theta).all() and np.linalg.cond(S) < 1e10 and cost < best_cost:
+            best, best_cost = theta, cost
+        if best_cost < 1e-18:
             break
     if best is None:
         raise SolverError(f"no invertible similarity was found in {restarts} starts; raise restarts or give a start")
     return best
 
 
-def _linear_part(m: Matrices, constant: Matrices, slopes) -> tuple[np.ndarray, np.ndarray]:
-    """Equations of the similarity whose structured rows (A, B) or columns (C) carry no parameter."""
+def _dual(m: Matrices, constant: Matrices, slopes):
+    """The same equations for the transposed systems."""
+    dA, dB, dC = slopes
+    turn = [Matrices(x.A.T, x.C.T, x.B.T, x.D.T) for x in (m, constant)]
+    return (*turn, (np.swapaxes(dA, 1, 2), np.swapaxes(dC, 1, 2), np.swapaxes(dB, 1, 2)))
+
+
+def _linear_solutions(m: Matrices, constant: Matrices, slopes) -> tuple[np.ndarray, np.ndarray]:
+    """All vec(S) = particular + basis z that satisfy the combinations of the equations in which theta cancels.
+
+    Columns w with [dA_k dB_k] w = 0 for every k give A_bb S w_a + B_bb w_b = S (A_0 w_a + B_0 w_b); likewise for C.
+    """
     n = m.order
-    dA, dB, dC, _ = slopes
-    known = [i for i in range(n) if not dA[:, i].any()]
-    undriven = [i for i in range(n) if not dB[:, i].any()]
+    dA, dB, dC = slopes
+    driven = np.concatenate([dA, dB], axis=2).reshape(-1, n + m.B.shape[1])
     rows, right = [], []
-    for i in known:  # e_i T A_bb = A(i, :) T
-        rows.append(np.kron(m.A.T, np.eye(n)[i : i + 1]) - np.kron(np.eye(n), constant.A[i : i + 1]))
-        right.append(np.zeros(n))
-    for i in undriven:  # e_i T B_bb = B(i, :)
-        rows.append(np.kron(m.B.T, np.eye(n)[i : i + 1]))
-        right.append(constant.B[i])
-    if not dC.any():  # C_bb = C T
-        rows.append(np.kron(np.eye(n), constant.C))
-        right.append(m.C.ravel(order="F"))
+    for w in scipy.linalg.null_space(driven).T:
+        a, b = w[:n], w[n:]
+        rows.append(np.kron(a, m.A) - np.kron(constant.A @ a + constant.B @ b, np.eye(n)))
+        right.append(-m.B @ b)
+    for w in scipy.linalg.null_space(dC.reshape(-1, n)).T:
+        rows.append(np.kron(w, m.C))
+        right.append(constant.C @ w)
     if not rows:
-        return np.zeros((1, n * n)), np.zeros(1)
-    return np.vstack(rows), np.concatenate(right)
+        return np.zeros(n * n), np.eye(n * n)
+    matrix, vector = np.vstack(rows), np.concatenate(right)
+    weight = 1 / np.maximum(np.linalg.norm(matrix, axis=1), 1e-300)
+    matrix, vector = matrix * weight[:, None], vector * weight
+    return np.linalg.lstsq(matrix, vector, rcond=1e-10)[0], scipy.linalg.null_space(matrix, rcond=1e-10)
 
 
-def _best_theta(T, m: Matrices, constant: Matrices, slopes):
-    """Least-squares theta for one T, and the residual of T A_bb = A(theta) T, T B_bb = B(theta), C_bb = C(theta) T."""
+def _best_theta(S, m: Matrices, constant: Matrices, slopes):
+    """Least-squares theta for one S, and the weighted residual of the three equations."""
     unit = float(np.abs(m.poles).max())
     weights = (1 / unit, 1 / unit, 1.0)
-    dA, dB, dC, _ = slopes
-    moved = (dA @ T, dB, dC @ T)
-    left = np.hstack([w * d.reshape(len(d), -1) for w, d in zip(weights, moved, strict=True)]).T
-    gaps = (T @ m.A - constant.A @ T, T @ m.B - constant.B, m.C - constant.C @ T)
+    dA, dB, dC = slopes
+    left = np.hstack([w * d.reshape(len(d), -1) for w, d in zip(weights, (S @ dA, S @ dB, dC), strict=True)]).T
+    gaps = (m.A @ S - S @ constant.A, m.B - S @ constant.B, m.C @ S - constant.C)
     right = np.concatenate([(w * g).ravel() for w, g in zip(weights, gaps, strict=True)])
     scale = np.maximum(np.linalg.norm(left, axis=0), 1e-300)
     theta = np.linalg.lstsq(left / scale, right, rcond=None)[0] / scale
