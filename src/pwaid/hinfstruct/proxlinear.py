@@ -29,6 +29,7 @@ def prox_linear(
     fraction: float = 0.5,
     radius: float = 0.5,
     target: float = 0.0,
+    scale: np.ndarray | None = None,
 ) -> NonsmoothRun:
     """Minimise the H-infinity error from a stable start.
 
@@ -42,12 +43,14 @@ def prox_linear(
         Largest relative step the local model may take.
     target : float
         Stop when the value is within 1e-4 of this (a known lower bound).
+    scale : array, optional
+        Size of each parameter, kept fixed; default their present absolute values.
     """
     found = problem.active(theta, fraction)
     if found is None:
         return NonsmoothRun(theta, np.inf, np.inf, False, np.array([np.inf]))
     value, active = found
-    scale = parameter_scale(theta)
+    fixed, scale = scale, parameter_scale(theta) if scale is None else scale
     low, high = problem.bounds
     mu, trace, predicted = 1e-2 * value, [value], np.inf
     extra: list[tuple[int, float]] = []
@@ -72,7 +75,7 @@ def prox_linear(
         gained = -np.inf if trial is None else (value - trial[0]) / (value - bound)
         if gained >= 0.05:
             theta, (value, active) = theta + scale * step, trial
-            scale, extra = parameter_scale(theta), extra[-6:]
+            scale, extra = parameter_scale(theta) if fixed is None else fixed, extra[-6:]
             mu = mu * (0.25 if gained > 0.7 else 1.0)
         else:
             mu = max(4.0 * mu, 1e-5 * value)

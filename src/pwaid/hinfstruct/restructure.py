@@ -146,7 +146,7 @@ def restructure(
     given = as_matrices(target, "target")
     problem, fitted = _problem(model, given, match_static_gain)
     rng = np.random.default_rng(rng)
-    candidates = _descend(problem, _starts(model, fitted.targets[0], start, rng))
+    candidates = _descend(fitted, _starts(model, fitted.targets[0], start, rng))
     best = min(candidates, key=lambda c: c.value)
     if restarts:
         if not np.isfinite(best.value):
@@ -154,7 +154,7 @@ def restructure(
         shaken = [
             (f"restart {k + 1}", best.theta * (1 + perturbation * rng.uniform(-1, 1, model.size))) for k in range(restarts)
         ]
-        candidates += _descend(problem=fitted, starts=shaken)
+        candidates += _descend(fitted, shaken)
     return _finish(problem, fitted, candidates, method, max_iterations)
 
 
@@ -255,23 +255,26 @@ def _descend(problem: MatchingProblem, starts) -> list[_Candidate]:
 def _exchange(problems, found: list[list[_Candidate]], sweeps: int = 3) -> None:
     """Continuation: neighbours' theta as starts, back and forth, until nothing improves. Extends ``found`` in place."""
     n = len(problems)
+    bounds = [fitted.lower_bound()[0] for _, fitted in problems]
+    tried: list[set] = [set() for _ in range(n)]
 
     def best(i: int) -> _Candidate:
         return min(found[i], key=lambda c: c.value)
 
     for _ in range(sweeps):
         improved = False
-        for order in (range(n), range(n - 1, -1, -1)):
-            step = 1 if order.step > 0 else -1
-            for i in order:
+        for step in (1, -1):
+            for i in range(n)[::step]:
                 j, k = i - step, i - 2 * step
-                if not 0 <= j < n or not np.isfinite(best(j).value):
+                if not 0 <= j < n or not np.isfinite(best(j).value) or best(i).value <= 1.001 * bounds[i]:
                     continue
                 offers = [(f"neighbour {j}", best(j).theta)]
                 if 0 <= k < n and np.isfinite(best(k).value):
                     offers.append((f"extrapolated from {k}, {j}", 2 * best(j).theta - best(k).theta))
+                offers = [o for o in offers if o[1].tobytes() not in tried[i]]
+                tried[i].update(o[1].tobytes() for o in offers)
                 fresh = _descend(problems[i][1], offers)
-                improved |= min(c.value for c in fresh) < 0.98 * best(i).value
+                improved |= min((c.value for c in fresh), default=np.inf) < 0.98 * best(i).value
                 found[i].extend(fresh)
         if not improved:
             return

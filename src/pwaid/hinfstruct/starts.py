@@ -117,7 +117,7 @@ def null_space_start(model: StructuredModel, target, *, restarts: int = 40, rng=
     def residual(z):
         return _best_theta((particular + basis @ z).reshape(n, n, order="F"), *form)[1]
 
-    best, best_cost = None, np.inf
+    best, best_cost, repeats = None, np.inf, 0
     for _ in range(restarts if basis.shape[1] else 1):
         z = size * 10 ** rng.uniform(-1, 1.5) * rng.standard_normal(basis.shape[1]) / np.sqrt(max(basis.shape[1], 1))
         if basis.shape[1]:
@@ -125,9 +125,12 @@ def null_space_start(model: StructuredModel, target, *, restarts: int = 40, rng=
         S = (particular + basis @ z).reshape(n, n, order="F")
         theta, gap = _best_theta(S, *form)
         cost = float(gap @ gap)
-        if np.isfinite(theta).all() and np.linalg.cond(S) < 1e10 and cost < best_cost:
+        if not np.isfinite(theta).all() or np.linalg.cond(S) > 1e10:
+            continue
+        repeats = repeats + 1 if abs(cost - best_cost) <= 1e-3 * best_cost else 0 if cost < best_cost else repeats
+        if cost < best_cost:
             best, best_cost = theta, cost
-        if best_cost < 1e-18:
+        if best_cost < 1e-18 or repeats >= 2:  # exact, or reached three times
             break
     if best is None:
         raise SolverError(f"no invertible similarity was found in {restarts} starts; raise restarts or give a start")

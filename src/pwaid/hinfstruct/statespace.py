@@ -139,8 +139,13 @@ def simulate_discrete(m: Matrices, inputs: np.ndarray, x0: np.ndarray | None = N
     if inputs.ndim != 2 or inputs.shape[1] != m.D.shape[1]:
         raise InputError(f"inputs have shape {inputs.shape}; expected (N, {m.D.shape[1]})")
     x0 = np.zeros(m.order) if x0 is None else np.asarray(x0, dtype=float)
-    states = _run(np.ascontiguousarray(m.A), inputs @ m.B.T, x0)
+    states = simulate_states(m.A, inputs @ m.B.T, x0)
     return states @ m.C.T + inputs @ m.D.T
+
+
+def simulate_states(A: np.ndarray, drive: np.ndarray, x0: np.ndarray) -> np.ndarray:
+    """States (N, n) of x+ = A x + drive(k)."""
+    return _run(np.ascontiguousarray(A), np.ascontiguousarray(drive), x0)
 
 
 @numba.njit(cache=True)
