@@ -18,7 +18,9 @@ from pwaid.hinfstruct.statespace import Matrices, as_matrices, to_control
 __all__ = ["c2d", "d2c"]
 
 
-def d2c(system, *, method: str = "zoh", dt: float | None = None) -> control.StateSpace:
+def d2c(
+    system, *, method: str = "zoh", dt: float | None = None, negative_poles: str = "raise"
+) -> control.StateSpace:
     """Continuous model of a discrete one.
 
     Parameters
@@ -28,6 +30,9 @@ def d2c(system, *, method: str = "zoh", dt: float | None = None) -> control.Stat
         "zoh": exact inverse of the zero-order hold. "tustin": s = (2/dt)(z - 1)/(z + 1), which keeps the H-infinity norm.
     dt : float, optional
         Sampling time of a plain tuple, seconds.
+    negative_poles : "raise" or "static"
+        Over-ordered models have spurious modes near the Nyquist frequency, often on the negative real axis. "static"
+        replaces such modes by their static gain (zoh only), which lowers the order; "raise" refuses.
 
     Raises
     ------
@@ -39,8 +44,10 @@ def d2c(system, *, method: str = "zoh", dt: float | None = None) -> control.Stat
     m = as_matrices(system, "system", dt)
     if m.dt <= 0:
         raise InputError("d2c needs a discrete system with a sampling time; pass dt= in seconds with plain matrices")
+    if negative_poles not in ("raise", "static"):
+        raise InputError(f"negative_poles = {negative_poles!r}; expected 'raise' or 'static'")
     if method == "zoh":
-        return to_control(_inverse_hold(m))
+        return to_control(_inverse_hold(_without_negative_modes(m) if negative_poles == "static" else m))
     if method == "tustin":
         return to_control(_inverse_tustin(m))
     raise InputError(f"method = {method!r}; expected 'zoh' or 'tustin'")
@@ -68,7 +75,10 @@ def _inverse_hold(m: Matrices) -> Matrices:
         return Matrices(m.A, m.B, m.C, m.D)
     poles = m.poles
     size = np.abs(poles)
-    advice = "; reduce the order (balance(..., order=)), identify with another order or a shorter sampling time, or use tustin"
+    advice = (
+        "; pass negative_poles='static', reduce the order (balance(..., order=)), identify with another order or a "
+        "shorter sampling time, or use tustin"
+    )
     if size.min() < 1e-10 * max(1.0, size.max()):
         raise InputError(f"a pole at zero ({size.min():.1e}) is a pure delay and has no continuous counterpart" + advice)
     angle = np.abs(np.angle(poles))
@@ -87,6 +97,23 @@ def _inverse_hold(m: Matrices) -> Matrices:
     if np.abs(back - block).max() > 1e-6 * max(1.0, np.abs(block).max()):
         raise InputError("the matrix logarithm of the model is inaccurate: the model is too ill-conditioned" + advice)
     return Matrices(log[:n, :n], log[:n, n:], m.C, m.D)
+
+
+def _without_negative_modes(m: Matrices) -> Matrices:
+    """The model without its modes on the negative real axis, their static gain moved into D."""
+
+    def on_axis(real, imag=0.0):
+        return bool(real < 0 and abs(imag) <= 1e-6 * abs(real))
+
+    T, Z, kept = scipy.linalg.schur(m.A, sort=lambda x, y=0.0: not on_axis(np.real(x), np.imag(x) + np.real(y)))
+    if kept == m.order:
+        return m
+    # Decouple the two blocks: T11 X - X T22 = -T12, then the modes are the rows after ``kept``.
+    X = scipy.linalg.solve_sylvester(T[:kept, :kept], -T[kept:, kept:], -T[:kept, kept:])
+    B, C = Z.T @ m.B, m.C @ Z
+    lost_a, lost_b, lost_c = T[kept:, kept:], B[kept:], C[:, kept:] + C[:, :kept] @ X
+    D = m.D + lost_c @ np.linalg.solve(np.eye(len(lost_a)) - lost_a, lost_b)
+    return Matrices(T[:kept, :kept], B[:kept] - X @ lost_b, C[:, :kept], D, m.dt)
 
 
 def _inverse_tustin(m: Matrices) -> Matrices:
