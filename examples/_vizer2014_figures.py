@@ -12,7 +12,11 @@ import numpy as np
 
 from pwaid.hinfstruct import align_models, balance, bft, c2d, frequency_response, simulate_discrete
 from pwaid.hinfstruct.statespace import as_matrices
-from pwaid.systems.vizer2014 import OPERATING_POINTS, vizer2014_flexible_arm_linear, vizer2014_flexible_arm_lpv
+from pwaid.systems.vizer2014 import (
+    OPERATING_POINTS,
+    vizer2014_flexible_arm_linear,
+    vizer2014_flexible_arm_lpv,
+)
 
 KAPPAS = np.cos(OPERATING_POINTS)
 TRUTH = vizer2014_flexible_arm_lpv()
@@ -79,10 +83,18 @@ def figure_5(directory, zoh, tustin):
     fig, axes = plt.subplots(4, 4, figsize=(11, 8), sharex=True)
     for k, ax in enumerate(axes.T.ravel()):
         sign = -1 if k >= 8 else 1
-        ax.plot(KAPPAS, sign * np.array([r.theta[k] for r in tustin]), "C3x:", ms=4, label="restructured, Tustin")
-        ax.plot(KAPPAS, sign * np.array([TRUTH.theta(x)[k] for x in KAPPAS]), "ks-", ms=6, mfc="none", label="analytic")
+        ax.plot(
+            KAPPAS, sign * np.array([r.theta[k] for r in tustin]), "C3x:", ms=4, label="restructured, Tustin"
+        )
+        ax.plot(
+            KAPPAS, sign * np.array([TRUTH.theta(x)[k]
+            for x in KAPPAS]), "ks-", ms=6, mfc="none", label="analytic"
+        )
         ax.plot(KAPPAS, sign * np.array([r.theta[k] for r in zoh]), "C0o--", ms=3, label="restructured, ZOH")
         ax.set_title(f"{'-' if sign < 0 else ''}theta{k + 1}", fontsize=8)
+        seen = sign * np.array([[r.theta[k] for r in tustin[1:]], [r.theta[k] for r in zoh[1:]]])
+        margin = 0.15 * np.ptp(seen)
+        ax.set_ylim(seen.min() - margin, seen.max() + margin)  # the Tustin point at pi/8 may lie outside
         ax.ticklabel_format(axis="y", style="sci", scilimits=(-2, 3))
         ax.tick_params(labelsize=7)
     axes[0, 0].legend(fontsize=6)
@@ -140,7 +152,9 @@ def figure_coriolis(directory, sweep, physics):
     show = slice(None, None, 20)
     for flag, style, name in ((False, "C3", "frozen"), (True, "C0--", "with the Coriolis torque of M1")):
         y = physics.model.simulate(sweep.time, sweep.inputs, sweep.theta2, coriolis=flag)
-        axes[0].plot(sweep.time[show], y[show, 0], style, lw=1, label=f"{name}: BFT {bft(sweep.outputs, y)[0]:.1f} %")
+        axes[0].plot(
+            sweep.time[show], y[show, 0], style, lw=1, label=f"{name}: BFT {bft(sweep.outputs, y)[0]:.1f} %"
+        )
         axes[1].plot(sweep.time[show], (sweep.outputs - y)[show, 0], style, lw=1, label=name)
     axes[0].plot(sweep.time[show], sweep.outputs[show, 0], "k:", lw=1.5, label="nonlinear arm")
     axes[0].set_ylabel("y1 (rad/s)")

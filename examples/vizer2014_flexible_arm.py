@@ -1,8 +1,10 @@
-"""Paper 002 (Vizer et al. 2014) whole: from seven local PRBS experiments to a certified LPV model of a flexible arm.
+"""Paper 002 (Vizer et al. 2014) whole: from seven local PRBS experiments to a certified LPV model of a
+flexible arm.
 
-Repeats Tables 1-4 with the paper's recipe (Tustin inversion) and with the exact inverse of the hold (ZOH), adds the
-joint minimax fit, the physics-structured fit, and the Coriolis torque that local experiments conceal, and redraws
-Figures 3-10 with ``--save DIR``. The last line is ``RESULT {json}``; every figure in it is computed in this run.
+Repeats Tables 1-4 with the paper's recipe (Tustin inversion) and with the exact inverse of the hold (ZOH),
+adds the joint minimax fit, the physics-structured fit, and the Coriolis torque that local experiments
+conceal, and redraws Figures 3-10 with ``--save DIR``. The last line is ``RESULT {json}``; every figure in it
+is computed in this run.
 
     python examples/vizer2014_flexible_arm.py [--quick] [--save DIR]
 """
@@ -74,7 +76,9 @@ def distance(g, h) -> float:
 def table(title: str, rows: dict[str, list], digits: int = 2) -> None:
     print(f"\n{title}")
     for name, values in rows.items():
-        print(f"  {name:<34s}" + " ".join(f"{v:>10.{digits}f}" if v is not None else f"{'-':>10s}" for v in values))
+        print(
+            f"  {name:<34s}" + " ".join(f"{v:>10.{digits}f}" if v is not None else f"{'-':>10s}" for v in values)
+        )
 
 
 def identify(recording, outputs, order: int = 6):
@@ -84,7 +88,9 @@ def identify(recording, outputs, order: int = 6):
 
 
 def monte_carlo(recordings, runs: int):
-    """Averages of ``runs`` noisy identifications per operating point, continuous by ZOH and by Tustin inversion."""
+    """Averages of ``runs`` noisy identifications per operating point, continuous by ZOH and by Tustin
+    inversion.
+    """
     begin = time.perf_counter()
     averages = {"zoh": [], "tustin": []}
     for point, recording in enumerate(recordings):
@@ -101,7 +107,9 @@ def monte_carlo(recordings, runs: int):
 
 def local_fits(models, validations) -> tuple[np.ndarray, np.ndarray]:
     """BFT and VAF, each (points, 2), of continuous local models on fresh noise-free data (Table 1)."""
-    outputs = [simulate_discrete(as_matrices(c2d(m, DT)), v.inputs) for m, v in zip(models, validations, strict=True)]
+    outputs = [
+        simulate_discrete(as_matrices(c2d(m, DT)), v.inputs) for m, v in zip(models, validations, strict=True)
+    ]
     pairs = list(zip(validations, outputs, strict=True))
     return np.array([bft(v.outputs, y) for v, y in pairs]), np.array([vaf(v.outputs, y) for v, y in pairs])
 
@@ -128,8 +136,8 @@ def worst_entries(results) -> np.ndarray:
 def robustness(recordings, runs: int, snr_db: float, tolerance: float) -> int:
     """Single runs that end at the right answer, of 7 * runs.
 
-    Success: a stable model, no farther from its black box than 1.01 times the fit started at the true parameters, and
-    within ``tolerance`` of the true transfer function, relative.
+    Success: a stable model, no farther from its black box than 1.01 times the fit started at the true
+    parameters, and within ``tolerance`` of the true transfer function, relative.
     """
     good = 0
     for run in range(runs):
@@ -147,9 +155,11 @@ def robustness(recordings, runs: int, snr_db: float, tolerance: float) -> int:
 
 
 def over_ordered(recordings) -> dict[int, float]:
-    """Worst relative H-infinity error after restructuring black boxes of too high an order, single runs at 30 dB.
+    """Worst relative H-infinity error after restructuring black boxes of too high an order, single runs at 30
+    dB.
 
-    Their spurious modes on the negative real axis, which no held-input continuous model has, keep their static gain only.
+    Their spurious modes on the negative real axis, which no held-input continuous model has, keep their
+    static gain only.
     """
     worst = {}
     for order in (7, 8, 10):
@@ -176,7 +186,8 @@ def lpv_models(zoh, tustin, black_boxes) -> dict[str, dict[int, LPVModel]]:
         "bal. Tustin": align_models(black_boxes["tustin"]),
     }
     models = {k: {d: LPVModel.from_models(KAPPAS, v, d) for d in (1, 2)} for k, v in local.items()}
-    print("\nTable 3: FIT (36) of A, B, C, D, percent (paper struc. d=2: 96.6 88.8 98.9 -; anal. 94.5 91.5 100 -;"
+    print("\nTable 3: FIT (36) of A, B, C, D, percent (paper struc. d=2: 96.6 88.8 98.9 -;"
+          " anal. 94.5 91.5 100 -;"
           " bal. 94.8 90.1 91.1 98.4)")
     for name, by_degree in models.items():
         for degree, model in by_degree.items():
@@ -187,7 +198,10 @@ def lpv_models(zoh, tustin, black_boxes) -> dict[str, dict[int, LPVModel]]:
 
 
 def validate_lpv(models, sweep):
-    """Table 4: BFT and VAF of the d = 2 models along the 3 s sweep, beside the exact frozen LPV; returns BFT per name."""
+    """Table 4:
+
+    BFT and VAF of the d = 2 models along the 3 s sweep, beside the exact frozen LPV; returns BFT per name.
+    """
     exact = simulate_lpv(TRUTH.stacked, sweep.time, sweep.inputs, sweep.kappa)
     outputs = {"exact frozen": exact}
     for name, by_degree in models.items():
@@ -203,7 +217,8 @@ def validate_lpv(models, sweep):
 
 
 def concealed_physics(fit, sweeps) -> tuple[list[float], list[float]]:
-    """BFT of y1 of the identified model, frozen and with the Coriolis torque of its own M1, over the sweeps."""
+    """BFT of y1 of the identified model, frozen and with the Coriolis torque of its own M1, over the sweeps.
+    """
     frozen, repaired = [], []
     print("\nThe concealed physics: identified M0 + kappa M1, BFT y1 y2, percent")
     for (duration, amplitude), sweep in zip(SWEEPS, sweeps, strict=True):
@@ -213,7 +228,10 @@ def concealed_physics(fit, sweeps) -> tuple[list[float], list[float]]:
         ]
         frozen.append(float(both[0][0]))
         repaired.append(float(both[1][0]))
-        print(f"  sweep {duration} s, PRBS {amplitude} rad/s: frozen {both[0].round(2)}  with Coriolis {both[1].round(2)}")
+        print(
+            f"  sweep {duration} s, PRBS {amplitude} rad/s: frozen {both[0].round(2)}  with Coriolis "
+            f"{both[1].round(2)}"
+        )
     return frozen, repaired
 
 
@@ -222,7 +240,10 @@ def joint_fits(black_boxes, zoh, degrees, study: Study):
     targets, local = black_boxes["zoh"], np.array([r.theta for r in zoh])
     dense = np.cos(np.linspace(OPERATING_POINTS[0], OPERATING_POINTS[-1], 61))
     ratio = {}
-    print("\nJoint minimax over the seven points: worst H-infinity error (dense: against the truth at 61 points)")
+    print(
+        "\nJoint minimax over the seven points: worst H-infinity error (dense: against the truth at 61 "
+        "points)"
+    )
     for degree in degrees:
         begin = time.perf_counter()
         fit = fit_lpv_minimax(STRUCTURE, KAPPAS, targets, local, degree,
@@ -230,24 +251,29 @@ def joint_fits(black_boxes, zoh, degrees, study: Study):
         seconds = time.perf_counter() - begin
         ratio[degree] = fit.worst / fit.two_step_worst
         against = max(e.value for e in lpv_errors(fit.lpv, dense, [TRUTH.matrices(k) for k in dense]))
-        print(f"  d={degree}: two-step {fit.two_step_worst:.4f}  least squares {fit.least_squares_worst:.4f}  "
+        print(f"  d={degree}: two-step {fit.two_step_worst:.4f}  "
+              f"least squares {fit.least_squares_worst:.4f}  "
               f"minimax {fit.worst:.4f} (dense {against:.4f})  ratio {ratio[degree]:.3f}  {seconds:.1f} s")
     structure = InertiaStructure(np.abs(TRUTH.M1) > 1e-9, TRUTH.output, joints=2, first_gain=TRUTH.gains[0])
     fit = fit_inertia(structure, KAPPAS, targets, local)
     true, mine = structure.pack(TRUTH), structure.pack(fit.model)
-    print(f"Physics-structured fit, {structure.size} parameters: worst parameter {100 * np.abs(mine / true - 1).max():.3f} %, "
+    print(f"Physics-structured fit, {structure.size} parameters: "
+          f"worst parameter {100 * np.abs(mine / true - 1).max():.3f} %, "
           f"median {100 * np.median(np.abs(mine / true - 1)):.3f} %, worst H-infinity error {fit.worst:.4f}")
     return ratio[2], fit
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.split("\n")[0])
-    parser.add_argument("--quick", action="store_true", help="fewer Monte Carlo and robustness runs; under a minute")
+    parser.add_argument(
+        "--quick", action="store_true", help="fewer Monte Carlo and robustness runs; under a minute"
+    )
     parser.add_argument("--save", type=Path, help="directory for the figures")
     args = parser.parse_args()
     study = Study(6, 2, 15) if args.quick else Study(100, 12, 80)
     if args.quick:
-        print(f"--quick: {study.monte_carlo} of 100 Monte Carlo runs, {7 * study.robustness_runs} of 84 single runs, "
+        print(f"--quick: {study.monte_carlo} of 100 Monte Carlo runs, "
+              f"{7 * study.robustness_runs} of 84 single runs, "
               f"{study.nonsmooth_iterations} of 80 nonsmooth iterations")
 
     recordings = [vizer2014_flexible_arm_experiment(t, rng=[0, i]) for i, t in enumerate(OPERATING_POINTS)]
@@ -257,8 +283,12 @@ def main() -> None:
 
     fits = {method: local_fits(black_boxes[method], validations) for method in black_boxes}
     fits["analytic"] = local_fits(ANALYTIC, validations)
-    rows = {f"{what}_{k + 1} {method}": fits[method][j][:, k] for method in fits for j, what in enumerate(("BFT", "VAF"))
-            for k in range(2)}
+    rows = {
+        f"{what}_{k + 1} {method}": fits[method][j][:, k]
+        for method in fits
+        for j, what in enumerate(("BFT", "VAF"))
+        for k in range(2)
+    }
     table("Table 1: local models on validation data, percent (paper BFT 85.8-92.1 and 67.4-98.2)", rows)
 
     system, _ = printed_start_system(black_boxes["zoh"][0], TRUTH.output)
@@ -268,14 +298,18 @@ def main() -> None:
           f"closed form on noise-free models: relative error {exact:.1e}")
 
     zoh, seconds_zoh = restructured(black_boxes["zoh"], study)
-    matched = restructure_path(STRUCTURE, black_boxes["zoh"], match_static_gain=True, max_iterations=30, rng=0)
+    matched = restructure_path(
+        STRUCTURE, black_boxes["zoh"], match_static_gain=True, max_iterations=30, rng=0
+    )
     tustin, seconds_tustin = restructured(black_boxes["tustin"], study)
     relative = np.array([r.value for r in zoh]) / SIZES
     relative_tustin = np.array([r.value for r in tustin]) / SIZES
     table("Table 2: H-infinity error relative to the analytic model (paper, squared: 4.0e-3 ... 4.8e-4)", {
         "ZOH": relative, "ZOH lower bound": [r.lower_bound / s for r, s in zip(zoh, SIZES, strict=True)],
         "ZOH, squared as printed": [r.value**2 / s for r, s in zip(zoh, SIZES, strict=True)],
-        "Tustin": relative_tustin, "Tustin, squared as printed": [r.value**2 / s for r, s in zip(tustin, SIZES, strict=True)],
+        "Tustin": relative_tustin, "Tustin, squared as printed": [
+            r.value**2 / s for r, s in zip(tustin, SIZES, strict=True)
+        ],
         "Tustin, predicted decrease left": [r.predicted_decrease for r in tustin]}, 6)
     table("Parameter error to the analytic theta, percent (norm)", {
         "ZOH": theta_errors(zoh), "Tustin": theta_errors(tustin),
@@ -295,8 +329,13 @@ def main() -> None:
     joint_ratio, physics = joint_fits(black_boxes, zoh, (2,) if args.quick else (1, 2, 3), study)
     frozen, repaired = concealed_physics(physics, sweeps)
 
-    success = {db: robustness(recordings, study.robustness_runs, db, tol) for db, tol in ((30, 0.05), (20, 0.15))}
-    print(f"\nSingle runs that succeed: {success[30]} at 30 dB, {success[20]} at 20 dB, of {7 * study.robustness_runs}")
+    success = {
+        db: robustness(recordings, study.robustness_runs, db, tol) for db, tol in ((30, 0.05), (20, 0.15))
+    }
+    print(
+        f"\nSingle runs that succeed: {success[30]} at 30 dB, {success[20]} at 20 dB, of "
+        f"{7 * study.robustness_runs}"
+    )
     orders = over_ordered(recordings)
     print("Black boxes of order 7, 8, 10: worst relative H-infinity error "
           + ", ".join(f"{o}: {v:.4f}" for o, v in orders.items()))

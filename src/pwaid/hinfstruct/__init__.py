@@ -1,8 +1,9 @@
 """From local recordings to a certified LPV model (Vizer, Mercère, Prot & Laroche 2014), usable on its own.
 
-Local recordings are identified by subspace methods (`pi_moesp`), brought to continuous time (`d2c`), fitted with the
-structure that physics gives (`StructuredModel`, `restructure_path`) in the H-infinity norm (`hinf_norm`), checked
-(`identifiability`), and joined into one LPV model (`LPVModel`, `fit_lpv_minimax`, `InertiaStructure`).
+Local recordings are identified by subspace methods (`pi_moesp`), brought to continuous time (`d2c`), fitted
+with the structure that physics gives (`StructuredModel`, `restructure_path`) in the H-infinity norm
+(`hinf_norm`), checked (`identifiability`), and joined into one LPV model (`LPVModel`, `fit_lpv_minimax`,
+`InertiaStructure`).
 """
 
 from pwaid.hinfstruct.balance import Balanced, align_models, average_models, balance
@@ -68,6 +69,6 @@ __all__ = [
     "restructure_path",
     "simulate_discrete",
     "simulate_lpv",
-    "velocity_loop_start",
     "vaf",
+    "velocity_loop_start",
 ]

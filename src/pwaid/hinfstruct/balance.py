@@ -1,7 +1,8 @@
-"""Balanced realisations (Moore 1981) with their transformation, coherent signs and order, and averages of models.
+"""Balanced realisations (Moore 1981) with their transformation, coherent signs and order, and averages of
+models.
 
-Square-root method: with gramians Wc = L L' and Wo = R R', the singular values of R' L are the Hankel singular values,
-and x = T x_balanced with T = L V S^(-1/2), T^-1 = S^(-1/2) U' R'.
+Square-root method: with gramians Wc = L L' and Wo = R R', the singular values of R' L are the Hankel singular
+values, and x = T x_balanced with T = L V S^(-1/2), T^-1 = S^(-1/2) U' R'.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ class Balanced:
 
     @property
     def truncation_bound(self) -> float:
-        """Twice the sum of the truncated Hankel singular values: a bound of the H-infinity error of the truncation."""
+        """Bound of the H-infinity error of the truncation: twice the sum of the truncated Hankel values."""
         return float(2 * self.hankel[self.system.nstates :].sum())
 
 
@@ -70,7 +71,9 @@ def balance(system, *, order: int | None = None) -> Balanced:
         raise InputError(f"order = {order}; expected 1 to {m.order}")
     if hankel[keep - 1] <= 1e-12 * hankel[0]:
         minimal = int(np.sum(hankel > 1e-12 * hankel[0]))
-        raise InputError(f"the system is not minimal: Hankel singular value {keep} vanishes; pass order={minimal} or less")
+        raise InputError(
+            f"the system is not minimal: Hankel singular value {keep} vanishes; pass order={minimal} or less"
+        )
     root = np.sqrt(hankel[:keep])
     T = L @ Vt[:keep].T / root
     T_inverse = (U[:, :keep] / root).T @ R.T
@@ -79,16 +82,18 @@ def balance(system, *, order: int | None = None) -> Balanced:
 
 
 def _root(W: np.ndarray) -> np.ndarray:
-    """A factor L with L L' = W for a positive semidefinite W that rounding may have made slightly indefinite."""
+    """A factor L with L L' = W for a positive semidefinite W that rounding may have made slightly indefinite.
+    """
     values, vectors = np.linalg.eigh(0.5 * (W + W.T))
     return vectors * np.sqrt(np.maximum(values, 0.0))
 
 
 def align_models(systems: Sequence, *, reorder: bool = True) -> list[control.StateSpace]:
-    """Give balanced models coherent states: signs, and order where Hankel values cross, follow the previous model.
+    """Give balanced models coherent states: signs, and order where Hankel values cross, follow the previous
+    model.
 
-    Each state is recognised by its rows of B and columns of C; the assignment to the states of the previous model
-    maximises the sum of absolute correlations. The transfer functions do not change.
+    Each state is recognised by its rows of B and columns of C; the assignment to the states of the previous
+    model maximises the sum of absolute correlations. The transfer functions do not change.
 
     Parameters
     ----------
@@ -98,7 +103,9 @@ def align_models(systems: Sequence, *, reorder: bool = True) -> list[control.Sta
     """
     models = [as_matrices(s, f"system {i}") for i, s in enumerate(systems)]
     if len({(m.order, *m.D.shape, m.dt) for m in models}) != 1:
-        raise InputError("the systems differ in order, inputs, outputs or sampling time; bring them to one order first")
+        raise InputError(
+            "the systems differ in order, inputs, outputs or sampling time; bring them to one order first"
+        )
     aligned = models[:1]
     for m in models[1:]:
         aligned.append(_follow(aligned[-1], m, reorder))
@@ -114,7 +121,9 @@ def average_models(systems: Sequence) -> control.StateSpace:
     aligned = [first]
     for m in models[1:]:
         if m.A.shape != first.A.shape or m.D.shape != first.D.shape or m.dt != first.dt:
-            raise InputError("the systems differ in order, inputs, outputs or sampling time and cannot be averaged")
+            raise InputError(
+                "the systems differ in order, inputs, outputs or sampling time and cannot be averaged"
+            )
         aligned.append(_follow(first, m, reorder=True))
     mean = [np.mean([m[k] for m in aligned], axis=0) for k in range(4)]
     return to_control(Matrices(*mean, first.dt))
@@ -122,7 +131,10 @@ def average_models(systems: Sequence) -> control.StateSpace:
 
 def _follow(reference: Matrices, m: Matrices, reorder: bool) -> Matrices:
     """Permute and sign the states of m like those of the reference."""
-    marks = [np.hstack([x.B / np.linalg.norm(reference.B), x.C.T / np.linalg.norm(reference.C)]) for x in (reference, m)]
+    marks = [
+        np.hstack([x.B / np.linalg.norm(reference.B), x.C.T / np.linalg.norm(reference.C)])
+        for x in (reference, m)
+    ]
     correlation = marks[0] @ marks[1].T
     if reorder:
         size = np.outer(np.linalg.norm(marks[0], axis=1), np.linalg.norm(marks[1], axis=1))

@@ -1,9 +1,9 @@
 """Discrete to continuous time and back.
 
-Subspace identification of held-input data gives a *hold-equivalent* discrete model. Its continuous model is the inverse
-of the zero-order hold, the matrix logarithm of [[A, B], [0, I]]. The bilinear (Tustin) inverse used in Vizer et al.
-(2014), section 3.3.1, leaves the half-sample delay of the hold in the continuous model: an error of about
-``omega dt / 2`` relative, whatever the noise.
+Subspace identification of held-input data gives a *hold-equivalent* discrete model. Its continuous model is
+the inverse of the zero-order hold, the matrix logarithm of [[A, B], [0, I]]. The bilinear (Tustin) inverse
+used in Vizer et al. (2014), section 3.3.1, leaves the half-sample delay of the hold in the continuous model:
+an error of about ``omega dt / 2`` relative, whatever the noise.
 """
 
 from __future__ import annotations
@@ -27,23 +27,26 @@ def d2c(
     ----------
     system : control.StateSpace (discrete) or tuple (A, B, C, D) with ``dt``
     method : "zoh" or "tustin"
-        "zoh": exact inverse of the zero-order hold. "tustin": s = (2/dt)(z - 1)/(z + 1), which keeps the H-infinity norm.
+        "zoh": exact inverse of the zero-order hold. "tustin": s = (2/dt)(z - 1)/(z + 1), which keeps the
+        H-infinity norm.
     dt : float, optional
         Sampling time of a plain tuple, seconds.
     negative_poles : "raise" or "static"
-        Over-ordered models have spurious modes near the Nyquist frequency, often on the negative real axis. "static"
-        replaces such modes by their static gain (zoh only), which lowers the order; "raise" refuses.
+        Over-ordered models have spurious modes near the Nyquist frequency, often on the negative real axis.
+        "static" replaces such modes by their static gain (zoh only), which lowers the order; "raise" refuses.
 
     Raises
     ------
     InputError
-        No sampling time; a pole on the negative real axis or at zero, which no hold-equivalent continuous model of the
-        same order has (zoh); a pole at -1 (tustin); a pole so near the negative axis that its frequency is the Nyquist
-        frequency to rounding.
+        No sampling time; a pole on the negative real axis or at zero, which no hold-equivalent continuous
+        model of the same order has (zoh); a pole at -1 (tustin); a pole so near the negative axis that its
+        frequency is the Nyquist frequency to rounding.
     """
     m = as_matrices(system, "system", dt)
     if m.dt <= 0:
-        raise InputError("d2c needs a discrete system with a sampling time; pass dt= in seconds with plain matrices")
+        raise InputError(
+            "d2c needs a discrete system with a sampling time; pass dt= in seconds with plain matrices"
+        )
     if negative_poles not in ("raise", "static"):
         raise InputError(f"negative_poles = {negative_poles!r}; expected 'raise' or 'static'")
     if method == "zoh":
@@ -76,16 +79,20 @@ def _inverse_hold(m: Matrices) -> Matrices:
     poles = m.poles
     size = np.abs(poles)
     advice = (
-        "; pass negative_poles='static', reduce the order (balance(..., order=)), identify with another order or a "
+        "; pass negative_poles='static', reduce the order (balance(..., order=)), identify with another "
+        "order or a "
         "shorter sampling time, or use tustin"
     )
     if size.min() < 1e-10 * max(1.0, size.max()):
-        raise InputError(f"a pole at zero ({size.min():.1e}) is a pure delay and has no continuous counterpart" + advice)
+        raise InputError(
+            f"a pole at zero ({size.min():.1e}) is a pure delay and has no continuous counterpart" + advice
+        )
     angle = np.abs(np.angle(poles))
     if np.any(angle > np.pi - 1e-6):
         worst = poles[np.argmax(angle)]
         raise InputError(
-            f"the pole {worst:.6g} lies on the negative real axis, at the Nyquist frequency: the hold has no real inverse" + advice
+            f"the pole {worst:.6g} lies on the negative real axis, at the Nyquist frequency: the hold has "
+            "no real inverse" + advice
         )
     n, nu = m.B.shape
     block = np.block([[m.A, m.B], [np.zeros((nu, n)), np.eye(nu)]])
@@ -95,7 +102,9 @@ def _inverse_hold(m: Matrices) -> Matrices:
     log = np.real(log) / m.dt
     back = scipy.linalg.expm(log * m.dt)
     if np.abs(back - block).max() > 1e-6 * max(1.0, np.abs(block).max()):
-        raise InputError("the matrix logarithm of the model is inaccurate: the model is too ill-conditioned" + advice)
+        raise InputError(
+            "the matrix logarithm of the model is inaccurate: the model is too ill-conditioned" + advice
+        )
     return Matrices(log[:n, :n], log[:n, n:], m.C, m.D)
 
 
@@ -105,7 +114,9 @@ def _without_negative_modes(m: Matrices) -> Matrices:
     def on_axis(real, imag=0.0):
         return bool(real < 0 and abs(imag) <= 1e-6 * abs(real))
 
-    T, Z, kept = scipy.linalg.schur(m.A, sort=lambda x, y=0.0: not on_axis(np.real(x), np.imag(x) + np.real(y)))
+    T, Z, kept = scipy.linalg.schur(
+        m.A, sort=lambda x, y=0.0: not on_axis(np.real(x), np.imag(x) + np.real(y))
+    )
     if kept == m.order:
         return m
     # Decouple the two blocks: T11 X - X T22 = -T12, then the modes are the rows after ``kept``.

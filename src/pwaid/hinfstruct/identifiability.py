@@ -1,7 +1,9 @@
-"""Can the parameters be told apart? Singular values of the scaled Jacobian, spread over restarts, and what a residual proves.
+"""Can the parameters be told apart? Singular values of the scaled Jacobian, spread over restarts, and what a
+residual proves.
 
-The Jacobian is that of vec G(j omega) on a frequency grid with respect to relative parameter changes. A direction with a
-vanishing singular value changes no response; a small one lets parameters drift far within the present error.
+The Jacobian is that of vec G(j omega) on a frequency grid with respect to relative parameter changes. A
+direction with a vanishing singular value changes no response; a small one lets parameters drift far within
+the present error.
 """
 
 from __future__ import annotations
@@ -33,15 +35,18 @@ class Identifiability:
     rank : int
         Singular values above 1e-9 of the largest.
     groups : tuple of tuples of str
-        Sets of parameters that cannot be told apart: each is the support of directions that change no response.
+        Sets of parameters that cannot be told apart: each is the support of directions that change no
+        response.
     weakest : dict of str to float
         The weakest direction, unit length, entries above 0.1.
     spread : dict of str to float, or None
-        Relative range of each parameter over restarts that reached the same error, where restarts were asked for.
+        Relative range of each parameter over restarts that reached the same error, where restarts were asked
+        for.
     restart_values : array
         H-infinity error each restart reached.
     slack : dict of str to float, or None
-        Relative change of each parameter that the linearised response can hide inside the present H-infinity error.
+        Relative change of each parameter that the linearised response can hide inside the present H-infinity
+        error.
     warnings : tuple of str
     """
 
@@ -71,7 +76,8 @@ def identifiability(
     perturbation: float = 0.05,
     rng=None,
 ) -> Identifiability:
-    """Report on the parameters of a structured model, or of a restructured one (then residual and restarts count too).
+    """Report on the parameters of a structured model, or of a restructured one (then residual and restarts
+    count too).
 
     Parameters
     ----------
@@ -81,7 +87,8 @@ def identifiability(
     omega : array, optional
         Frequencies, rad/s; default around the poles.
     restarts : int
-        Repeat the restructuring this often from perturbed theta (section 3.3.2 uses 10); only for a Restructured.
+        Repeat the restructuring this often from perturbed theta (section 3.3.2 uses 10); only for a
+        Restructured.
     perturbation : float
         Relative size of these perturbations.
 
@@ -95,7 +102,9 @@ def identifiability(
     if result is None and theta is None:
         raise InputError("identifiability of a StructuredModel needs theta=")
     if result is None and restarts:
-        raise InputError("restarts need a Restructured (there must be a target to fit); call restructure first")
+        raise InputError(
+            "restarts need a Restructured (there must be a target to fit); call restructure first"
+        )
     theta = result.theta if result else model.check(theta)
     m = model.matrices(theta)
     if not m.stable:
@@ -159,7 +168,9 @@ def _restarts(result: Restructured, restarts: int, perturbation: float, rng):
 
 
 def _slack(result: Restructured, singular, Vt, rank) -> dict[str, float]:
-    """Largest relative change of each parameter with a linearised response change of at most the error, in mean square."""
+    """Largest relative change of each parameter with a linearised response change of at most the error, in
+    mean square.
+    """
     weight = np.zeros_like(singular)
     weight[:rank] = 1 / singular[:rank]
     reach = result.value * np.sqrt(np.sum((Vt * weight[:, None]) ** 2, axis=0))
@@ -171,21 +182,28 @@ def _warnings(result, singular, groups, spread, slack) -> list[str]:
     out = []
     if groups:
         listed = "; ".join("{" + ", ".join(g) + "}" for g in groups)
-        out.append(f"no response tells these parameters apart: {listed}; fix some of them or change the outputs")
+        out.append(
+            f"no response tells these parameters apart: {listed}; fix some of them or change the outputs"
+        )
     elif singular[-1] < 1e-4 * singular[0]:
-        out.append(f"the weakest direction is {singular[-1] / singular[0]:.1e} of the strongest: its parameters are poorly fixed")
+        out.append(
+            f"the weakest direction is {singular[-1] / singular[0]:.1e} of the strongest: its parameters "
+            "are poorly fixed"
+        )
     if result is None:
         return out
     if result.at_bound and result.lower_bound > 0:
         out.append(
-            f"the error equals its structural lower bound ({result.bound_reason}): every theta with smaller errors elsewhere is "
+            f"the error equals its structural lower bound ({result.bound_reason}): every theta with smaller "
+            "errors elsewhere is "
             "equally good, so theta is not unique; use match_static_gain=True or a least-squares criterion"
         )
     if slack and max(slack.values()) > 0.05:
         name = max(slack, key=slack.get)
         out.append(
             f"a small residual does not prove the parameters: within the error reached, {name} may be off by "
-            f"{100 * slack[name]:.3g} % and {sum(v > 0.05 for v in slack.values())} parameters by more than 5 %"
+            f"{100 * slack[name]:.3g} % and {sum(v > 0.05 for v in slack.values())} parameters by more than "
+            "5 %"
         )
     if spread and max(spread.values()) > 0.01:
         name = max(spread, key=spread.get)

@@ -1,10 +1,11 @@
-"""Flexible arms with velocity loops: the physics-structured LPV model M(kappa) = M0 + kappa M1, kappa = cos(angle).
+"""Flexible arms with velocity loops: the physics-structured LPV model M(kappa) = M0 + kappa M1, kappa =
+cos(angle).
 
     M(kappa) ddq + h(q, dq) + [0; K v] = [Lambda (reference - dtheta); 0],   q = (theta, v),   y = C1 dq
 
-with states x = (v, dtheta, dv) as in Vizer et al. (2014), eq. (31) with its sign corrected. Frozen at one kappa, h
-vanishes and the model is linear with free entries in one block, eq. (32). While the angle moves, Lagrange's equations
-give h from M1 alone (alpha is the scheduling joint):
+with states x = (v, dtheta, dv) as in Vizer et al. (2014), eq. (31) with its sign corrected. Frozen at one
+kappa, h vanishes and the model is linear with free entries in one block, eq. (32). While the angle moves,
+Lagrange's equations give h from M1 alone (alpha is the scheduling joint):
 
     h = -sin(angle) dalpha M1 dq + e_alpha (1/2) sin(angle) dq' M1 dq        (Coriolis and centrifugal torque)
 
@@ -38,7 +39,8 @@ class InertiaLPV:
         n = joints + springs; joints come first in q.
     stiffness : array, shape (springs,)
     gains : array, shape (joints,)
-        Velocity-loop gains. Multiplying M0, M1, stiffness and gains by one number changes nothing but the torque unit.
+        Velocity-loop gains. Multiplying M0, M1, stiffness and gains by one number changes nothing but the
+        torque unit.
     output : array, shape (outputs, n)
         C1 of y = C1 dq.
     joint : int
@@ -56,7 +58,8 @@ class InertiaLPV:
         n = self.gains.size + self.stiffness.size
         if self.M0.shape != (n, n) or self.M1.shape != (n, n) or self.output.shape[1:] != (n,):
             raise InputError(
-                f"M0 {self.M0.shape}, M1 {self.M1.shape}, output {self.output.shape}: expected ({n}, {n}) twice and "
+                f"M0 {self.M0.shape}, M1 {self.M1.shape}, output {self.output.shape}: expected ({n}, {n}) "
+                "twice and "
                 f"(outputs, {n}) for {self.gains.size} joints and {self.stiffness.size} springs"
             )
 
@@ -82,7 +85,9 @@ class InertiaLPV:
     def frozen(self, kappa: float) -> control.StateSpace:
         """`control.StateSpace` at kappa, with named states."""
         nj, nv = self.gains.size, self.stiffness.size
-        states = [f"v{i + 1}" for i in range(nv)] + [f"dtheta{i + 1}" for i in range(nj)] + [f"dv{i + 1}" for i in range(nv)]
+        states = [f"v{i + 1}" for i in range(nv)] + [
+            f"dtheta{i + 1}" for i in range(nj)
+        ] + [f"dv{i + 1}" for i in range(nv)]
         return to_control(self.matrices(kappa), states=states)
 
     def pattern(self) -> StructuredModel:
@@ -94,17 +99,22 @@ class InertiaLPV:
         A += [name[i] + [0.0] * nv for i in range(n)]
         B = [[0.0] * nj for _ in range(nv)] + [[f"-{name[i][nv + j]}" for j in range(nj)] for i in range(n)]
         C = np.hstack([np.zeros((len(self.output), nv)), self.output]).tolist()
-        return StructuredModel.from_pattern(A, B, C, parameters=[Parameter(f"th{k + 1}") for k in range(n * n)])
+        return StructuredModel.from_pattern(
+            A, B, C, parameters=[Parameter(f"th{k + 1}") for k in range(n * n)]
+        )
 
     def simulate(self, time, inputs, angle, *, coriolis: bool = False, x0=None) -> np.ndarray:
-        """Outputs (N, outputs) along a measured trajectory of the scheduling angle (rad), inputs held between samples.
+        """Outputs (N, outputs) along a measured trajectory of the scheduling angle (rad), inputs held between
+        samples.
 
-        ``coriolis`` adds the velocity forces. Runge-Kutta 4 with the sampling step, the angle interpolated linearly.
+        ``coriolis`` adds the velocity forces. Runge-Kutta 4 with the sampling step, the angle interpolated
+        linearly.
         """
         time, inputs, angle = check_trajectory(time, inputs, angle, self.gains.size, "angle")
         x0 = np.zeros(self.order) if x0 is None else np.asarray(x0, dtype=float)
         states = _simulate(
-            self.M0, self.M1, self.stiffness, self.gains, self.joint, inputs, angle, time[1] - time[0], x0, bool(coriolis)
+            self.M0, self.M1, self.stiffness, self.gains, self.joint,
+            inputs, angle, time[1] - time[0], x0, bool(coriolis),
         )
         return states[:, self.stiffness.size :] @ self.output.T
 
@@ -119,7 +129,9 @@ class InertiaLPV:
             raise InputError(f"scheduling = {scheduling!r}; expected 'input' or 'state'")
         nj, nv, j = self.gains.size, self.stiffness.size, self.joint
         angle_name = f"theta{j + 1}"
-        states = [f"v{i + 1}" for i in range(nv)] + [f"dtheta{i + 1}" for i in range(nj)] + [f"dv{i + 1}" for i in range(nv)]
+        states = [f"v{i + 1}" for i in range(nv)] + [
+            f"dtheta{i + 1}" for i in range(nj)
+        ] + [f"dv{i + 1}" for i in range(nv)]
         inputs = [f"dtheta{i + 1}_ref" for i in range(nj)]
         (states if scheduling == "state" else inputs).append(angle_name)
 
@@ -127,7 +139,8 @@ class InertiaLPV:
             angle = x[-1] if scheduling == "state" else u[-1]
             core = np.asarray(x[: self.order], dtype=float)
             rate = _rates(
-                self.M0, self.M1, self.stiffness, self.gains, j, core, np.asarray(u[:nj], dtype=float), float(angle), coriolis
+                self.M0, self.M1, self.stiffness, self.gains, j,
+                core, np.asarray(u[:nj], dtype=float), float(angle), coriolis,
             )
             return np.append(rate, x[nv + j]) if scheduling == "state" else rate
 
@@ -146,8 +159,9 @@ class InertiaLPV:
 class InertiaStructure:
     """The parameters of an `InertiaLPV` to be identified jointly from all operating points.
 
-    Free: the upper triangle of M0, the entries of M1 that ``coupling`` allows, the stiffnesses, and all gains but the
-    first, which sets the torque unit (20 numbers for the two-link arm, against 16 per operating point).
+    Free: the upper triangle of M0, the entries of M1 that ``coupling`` allows, the stiffnesses, and all gains
+    but the first, which sets the torque unit (20 numbers for the two-link arm, against 16 per operating
+    point).
 
     Attributes
     ----------
@@ -172,7 +186,9 @@ class InertiaStructure:
         return self._basis()[0].shape[0]
 
     def _basis(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """Linear maps from p to M0, M1, stiffness, gains (without the fixed first gain), parameter along axis 0."""
+        """Linear maps from p to M0, M1, stiffness, gains (without the fixed first gain), parameter along axis
+        0.
+        """
         n = self.output.shape[1]
         upper = list(zip(*np.triu_indices(n), strict=True))
         coupled = [(i, j) for i, j in upper if self.coupling[i, j]]
@@ -205,7 +221,9 @@ class InertiaStructure:
         unit = self.first_gain / model.gains[0]
         upper = np.triu_indices(self.output.shape[1])
         coupled = self.coupling[upper]
-        return unit * np.concatenate([model.M0[upper], model.M1[upper][coupled], model.stiffness, model.gains[1:]])
+        return unit * np.concatenate(
+            [model.M0[upper], model.M1[upper][coupled], model.stiffness, model.gains[1:]]
+        )
 
     def unpack(self, p) -> InertiaLPV:
         """The model with parameter vector p."""
@@ -242,7 +260,8 @@ class InertiaStructure:
         Raises
         ------
         InputError
-            Too few operating points for the number of unknowns (two kappa values at least), or shapes that do not fit.
+            Too few operating points for the number of unknowns (two kappa values at least), or shapes that do
+            not fit.
         """
         n, nj = self.output.shape[1], self.joints
         nv = n - nj

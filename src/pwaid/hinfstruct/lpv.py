@@ -1,4 +1,7 @@
-"""Polynomial LPV models in continuous time: A(kappa) = A0 + A1 kappa + ... + Ad kappa^d, eq. (35), likewise B, C, D."""
+"""Polynomial LPV models in continuous time:
+
+A(kappa) = A0 + A1 kappa + ... + Ad kappa^d, eq. (35), likewise B, C, D.
+"""
 
 from __future__ import annotations
 
@@ -30,10 +33,17 @@ def fit_polynomial(kappas, values, degree: int) -> np.ndarray:
         Fewer different kappa values than coefficients, or values that are not finite.
     """
     kappas, values = np.asarray(kappas, dtype=float), np.asarray(values, dtype=float)
-    if kappas.ndim != 1 or len(values) != kappas.size or not (np.isfinite(kappas).all() and np.isfinite(values).all()):
-        raise InputError(f"kappas {kappas.shape} and values {values.shape}: expected finite arrays of the same length")
+    if kappas.ndim != 1 or len(values) != kappas.size or not (
+        np.isfinite(kappas).all() and np.isfinite(values).all()
+    ):
+        raise InputError(
+            f"kappas {kappas.shape} and values {values.shape}: expected finite arrays of the same length"
+        )
     if degree < 0 or np.unique(kappas).size < degree + 1:
-        raise InputError(f"degree = {degree} needs {degree + 1} different kappa values; {np.unique(kappas).size} were given")
+        raise InputError(
+            f"degree = {degree} needs {degree + 1} different kappa values; {np.unique(kappas).size} were "
+            "given"
+        )
     basis = np.vander(kappas, degree + 1, increasing=True)
     solution = np.linalg.lstsq(basis, values.reshape(kappas.size, -1), rcond=None)[0]
     return solution.reshape(degree + 1, *values.shape[1:])
@@ -67,7 +77,10 @@ class LPVModel:
         for name, shape in shapes.items():
             block = np.array(getattr(self, name), dtype=float)
             if block.shape != shape or not np.isfinite(block).all():
-                raise InputError(f"LPV coefficients {name} have shape {block.shape}; expected finite numbers of shape {shape}")
+                raise InputError(
+                    f"LPV coefficients {name} have shape {block.shape}; expected finite numbers of shape "
+                    f"{shape}"
+                )
             block.flags.writeable = False
             object.__setattr__(self, name, block)
         if not self.kappa_range[0] < self.kappa_range[1]:
@@ -75,7 +88,9 @@ class LPVModel:
 
     @classmethod
     def from_models(cls, kappas, systems: Sequence, degree: int, *, scheduling: str = "kappa") -> LPVModel:
-        """Interpolate local models with coherent states (restructured, analytic or aligned balanced) entry by entry."""
+        """Interpolate local models with coherent states (restructured, analytic or aligned balanced) entry by
+        entry.
+        """
         models = [as_matrices(s, f"system {i}") for i, s in enumerate(systems)]
         if any(m.dt for m in models):
             raise InputError("the local models are discrete; convert them with d2c first")
@@ -86,14 +101,26 @@ class LPVModel:
 
     @classmethod
     def from_parameters(
-        cls, model: StructuredModel, coefficients, kappa_range: tuple[float, float], *, scheduling: str = "kappa"
+        cls,
+        model: StructuredModel,
+        coefficients,
+        kappa_range: tuple[float, float],
+        *,
+        scheduling: str = "kappa",
     ) -> LPVModel:
-        """From polynomial parameters theta(kappa) of an affine structured model; coefficients (d + 1, size)."""
+        """From polynomial parameters theta(kappa) of an affine structured model.
+
+        Coefficients (d + 1, size).
+        """
         coefficients = np.asarray(coefficients, dtype=float)
         if not model.affine:
-            raise InputError("from_parameters needs an affine pattern model; use from_models on its local systems")
+            raise InputError(
+                "from_parameters needs an affine pattern model; use from_models on its local systems"
+            )
         if coefficients.ndim != 2 or coefficients.shape[1] != model.size:
-            raise InputError(f"coefficients have shape {coefficients.shape}; expected (degree + 1, {model.size})")
+            raise InputError(
+                f"coefficients have shape {coefficients.shape}; expected (degree + 1, {model.size})"
+            )
         constant = model.evaluate(np.zeros(model.size))
         slopes = model.differentiate(np.zeros(model.size))
         parts = []
@@ -123,7 +150,8 @@ class LPVModel:
         outside = int(np.sum((kappa < low - slack) | (kappa > high + slack)))
         if outside:
             raise InputError(
-                f"{outside} of {kappa.size} values of {self.scheduling} lie outside [{low:.6g}, {high:.6g}], where this model "
+                f"{outside} of {kappa.size} values of {self.scheduling} lie outside [{low:.6g}, "
+                f"{high:.6g}], where this model "
                 "was identified; pass extrapolate=True to use the polynomials there"
             )
 
@@ -146,14 +174,19 @@ class LPVModel:
             out[name] = interpolation_fit(local, mine[k]) if local.any() else None
         return out
 
-    def simulate(self, time, inputs, kappa, *, x0=None, substeps: int = 1, extrapolate: bool = False) -> np.ndarray:
+    def simulate(
+        self, time, inputs, kappa, *, x0=None, substeps: int = 1, extrapolate: bool = False
+    ) -> np.ndarray:
         """Outputs (N, ny) along a scheduling trajectory kappa (N,); see `simulate_lpv`."""
         if not extrapolate:
             self.check_range(kappa)
         return simulate_lpv(self.stacked, time, inputs, kappa, x0=x0, substeps=substeps)
 
     def to_nlsys(self, name: str = "lpv") -> control.NonlinearIOSystem:
-        """`control.nlsys` with inputs u1, ..., and the scheduling variable last; outputs y1, ...; states x1, ..."""
+        """`control.nlsys` with inputs u1, ..., and the scheduling variable last.
+
+        Outputs y1, ...; states x1, ...
+        """
         nu, ny = self.B.shape[2], self.C.shape[1]
 
         def update(t, x, u, params):
@@ -195,9 +228,14 @@ class LPVModel:
         try:
             record = json.loads(Path(path).read_text(encoding="utf-8"))
         except (OSError, ValueError) as error:
-            raise InputError(f"{path} cannot be read as an LPV model ({error}); expected a file written by LPVModel.save") from error
+            raise InputError(
+                f"{path} cannot be read as an LPV model ({error}); expected a file written by LPVModel.save"
+            ) from error
         if not isinstance(record, dict) or record.get("schema") != SCHEMA:
-            raise InputError(f"{path} is no LPV model: its schema is not {SCHEMA!r}; expected a file written by LPVModel.save")
+            raise InputError(
+                f"{path} is no LPV model: its schema is not {SCHEMA!r}; expected a file written by "
+                "LPVModel.save"
+            )
         try:
             blocks = [np.array(record[name], dtype=float) for name in "ABCD"]
             low, high = (float(k) for k in record["kappa_range"])

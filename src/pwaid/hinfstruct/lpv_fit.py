@@ -1,8 +1,10 @@
-"""Joint fits of an LPV model to all operating points at once, instead of restructuring first and interpolating after.
+"""Joint fits of an LPV model to all operating points at once, instead of restructuring first and
+interpolating after.
 
-* `fit_lpv_minimax`: minimise over polynomial coefficients the worst H-infinity error over the operating points,
-  max_i || G(s, sum_k c_k kappa_i^k) - target_i ||_inf.
-* `fit_inertia`: the physics-structured fit M(kappa) = M0 + kappa M1 (`InertiaStructure`), one small parameter vector.
+* `fit_lpv_minimax`: minimise over polynomial coefficients the worst H-infinity error over the operating
+  points, max_i || G(s, sum_k c_k kappa_i^k) - target_i ||_inf.
+* `fit_inertia`: the physics-structured fit M(kappa) = M0 + kappa M1 (`InertiaStructure`), one small parameter
+  vector.
 """
 
 from __future__ import annotations
@@ -37,7 +39,8 @@ class LPVFit:
     norms : tuple of HinfNorm
         Error at each operating point; ``worst`` is their maximum.
     two_step_worst, least_squares_worst : float
-        The same maximum for interpolation of the given local theta, and for the joint least-squares fit (the start).
+        The same maximum for interpolation of the given local theta, and for the joint least-squares fit (the
+        start).
     converged : bool
     predicted_decrease : float
     """
@@ -80,7 +83,8 @@ class InertiaFit:
 def polynomial_models(model: StructuredModel, kappas, degree: int) -> list[StructuredModel]:
     """The structured model at each kappa as a function of the stacked coefficients (degree + 1) * size.
 
-    kappa is mapped to [-1, 1] and Legendre polynomials are used inside, which keeps the coefficients comparable.
+    kappa is mapped to [-1, 1] and Legendre polynomials are used inside, which keeps the coefficients
+    comparable.
     """
     kappas = np.asarray(kappas, dtype=float)
     basis = np.polynomial.legendre.legvander(_unit(kappas, kappas), degree)
@@ -129,7 +133,8 @@ def fit_lpv_minimax(
     kappas, local = np.asarray(kappas, dtype=float), np.asarray(local_thetas, dtype=float)
     if local.shape != (kappas.size, model.size) or len(targets) != kappas.size:
         raise InputError(
-            f"{kappas.size} kappas, {len(targets)} targets, local_thetas {local.shape}: expected one target and one theta of "
+            f"{kappas.size} kappas, {len(targets)} targets, local_thetas {local.shape}: expected one target "
+            "and one theta of "
             f"length {model.size} per kappa"
         )
     fit_polynomial(kappas, local, degree)  # checks the degree
@@ -139,9 +144,12 @@ def fit_lpv_minimax(
     least_squares = levenberg_marquardt(problem, two_step)
     values = [problem.value(two_step), problem.value(least_squares)]
     if not np.isfinite(values).any():
-        raise SolverError("the interpolated model is unstable at an operating point; lower the degree or add points")
+        raise SolverError(
+            "the interpolated model is unstable at an operating point; lower the degree or add points"
+        )
     start = (two_step, least_squares)[int(np.argmin(values))]
-    size = np.abs(two_step.reshape(degree + 1, -1)).max(axis=0)  # of each theta; its higher coefficients are smaller
+    # of each theta; its higher coefficients are smaller
+    size = np.abs(two_step.reshape(degree + 1, -1)).max(axis=0)
     run = prox_linear(problem, start, max_iterations=max_iterations, scale=np.tile(size, degree + 1))
     legendre = run.theta.reshape(degree + 1, model.size)
     coefficients = _to_powers(legendre, kappas)
@@ -158,7 +166,10 @@ def lpv_errors(lpv, kappas, targets) -> tuple[HinfNorm, ...]:
     InputError
         The model is unstable at one of them.
     """
-    pairs = [(lpv.matrices(float(k)), as_matrices(t, f"target {i}")) for i, (k, t) in enumerate(zip(kappas, targets, strict=True))]
+    pairs = [
+        (lpv.matrices(float(k)), as_matrices(t, f"target {i}"))
+        for i, (k, t) in enumerate(zip(kappas, targets, strict=True))
+    ]
     return tuple(hinf_norm(difference(mine, target)) for mine, target in pairs)
 
 
@@ -173,7 +184,8 @@ def _to_powers(legendre: np.ndarray, kappas) -> np.ndarray:
 def fit_inertia(
     structure: InertiaStructure, kappas, targets: Sequence, local_thetas=None, *, start=None
 ) -> InertiaFit:
-    """Joint Levenberg-Marquardt fit of M0, M1, stiffnesses and gains to the black-box models of all operating points.
+    """Joint Levenberg-Marquardt fit of M0, M1, stiffnesses and gains to the black-box models of all operating
+    points.
 
     Parameters
     ----------
@@ -200,4 +212,6 @@ def fit_inertia(
     norms = problem.norms(p)
     if norms is None:
         raise SolverError("the joint fit ended in an unstable model; give a start= near the physical values")
-    return InertiaFit(structure.unpack(p), dict(zip(structure.names, map(float, p), strict=True)), tuple(norms))
+    return InertiaFit(
+        structure.unpack(p), dict(zip(structure.names, map(float, p), strict=True)), tuple(norms)
+    )

@@ -1,4 +1,7 @@
-"""Fit figures of Vizer et al. (2014): BFT and VAF (33), FIT of an interpolation (36). All in percent, time along axis 0."""
+"""Fit figures of Vizer et al.
+
+(2014): BFT and VAF (33), FIT of an interpolation (36). All in percent, time along axis 0.
+"""
 
 from __future__ import annotations
 
@@ -13,13 +16,16 @@ def _pair(measured, simulated) -> tuple[np.ndarray, np.ndarray]:
     y, y_hat = np.asarray(measured, dtype=float), np.asarray(simulated, dtype=float)
     if y.shape != y_hat.shape or y.ndim not in (1, 2) or y.shape[0] < 2:
         raise InputError(
-            f"measured has shape {y.shape} and simulated {y_hat.shape}; expected two arrays of the same shape "
+            f"measured has shape {y.shape} and simulated {y_hat.shape}; expected two arrays of the same "
+            "shape "
             "(N,) or (N, outputs) with N >= 2; pass both signals on the same time grid"
         )
     if not np.isfinite(y).all():
         raise InputError("measured contains NaN or infinite values; remove or fill these samples first")
     if np.any(np.ptp(y, axis=0) == 0):
-        raise InputError("a measured output is constant, so a fit relative to its variation is not defined; leave it out")
+        raise InputError(
+            "a measured output is constant, so a fit relative to its variation is not defined; leave it out"
+        )
     return y, y_hat
 
 
@@ -48,7 +54,10 @@ def bft(measured, simulated):
 
 
 def vaf(measured, simulated):
-    """Variance accounted for (33b): 100 max(1 - var(y - y_hat) / var(y), 0), per output; arguments as in `bft`."""
+    """Variance accounted for (33b):
+
+    100 max(1 - var(y - y_hat) / var(y), 0), per output; arguments as in `bft`.
+    """
     y, y_hat = _pair(measured, simulated)
     with np.errstate(over="ignore", invalid="ignore"):
         ratio = np.var(y - y_hat, axis=0) / np.var(y, axis=0)
@@ -63,7 +72,9 @@ def interpolation_fit(eta, eta_hat) -> float:
     """
     eta, eta_hat = np.ravel(np.asarray(eta, dtype=float)), np.ravel(np.asarray(eta_hat, dtype=float))
     if eta.shape != eta_hat.shape or eta.size == 0:
-        raise InputError(f"eta has {eta.size} entries and eta_hat {eta_hat.size}; expected the same number, at least one")
+        raise InputError(
+            f"eta has {eta.size} entries and eta_hat {eta_hat.size}; expected the same number, at least one"
+        )
     miss, spread = np.linalg.norm(eta - eta_hat), np.linalg.norm(eta - eta.mean())
     if spread == 0:
         return 100.0 if miss == 0 else -np.inf

@@ -2,12 +2,14 @@
 
 At the serious iterate x the ideal model is, with Sigma the error and d the (relative) step,
 
-    phi(d) = max_omega lambda_1( Sigma* Sigma + (dSigma d)* Sigma + Sigma* (dSigma d) ),                     (18)
+    phi(d) = max_omega lambda_1( Sigma* Sigma + (dSigma d)* Sigma + Sigma* (dSigma d) ),
+    (18)
 
-approached from below by cutting planes alpha + g'd: for a unit eigenvector e at a trial step, alpha = |Sigma e|² and
-g_i = 2 Re e* Sigma* (d_i Sigma) e, the vector of partial derivatives (the printed (20) is one directional derivative).
-Each trial minimises the planes plus (tau/2)|d|². A trial that lowers F enough becomes the next x; otherwise planes at the
-trial are added, and tau grows when the ideal model itself was too optimistic.
+approached from below by cutting planes alpha + g'd: for a unit eigenvector e at a trial step, alpha = |Sigma
+e|² and g_i = 2 Re e* Sigma* (d_i Sigma) e, the vector of partial derivatives (the printed (20) is one
+directional derivative). Each trial minimises the planes plus (tau/2)|d|². A trial that lowers F enough
+becomes the next x; otherwise planes at the trial are added, and tau grows when the ideal model itself was too
+optimistic.
 """
 
 from __future__ import annotations
@@ -115,7 +117,9 @@ def _ideal_set(problem: MatchingProblem, theta: np.ndarray, active: ActiveSet) -
 
 
 def _join(a: ActiveSet, b: ActiveSet) -> ActiveSet:
-    return ActiveSet(*(np.concatenate([getattr(a, f), getattr(b, f)]) for f in ("case", "omega", "error", "slope")))
+    return ActiveSet(
+        *(np.concatenate([getattr(a, f), getattr(b, f)]) for f in ("case", "omega", "error", "slope"))
+    )
 
 
 def _hermitian(ideal: ActiveSet, step: np.ndarray) -> np.ndarray:
@@ -130,7 +134,9 @@ def _ideal_gains(ideal: ActiveSet, step: np.ndarray) -> np.ndarray:
 
 
 def _planes(ideal: ActiveSet, step: np.ndarray, fraction: float) -> tuple[np.ndarray, np.ndarray]:
-    """Cutting planes (alpha, g) of the ideal model at the frequencies with at least ``fraction`` of its value there."""
+    """Cutting planes (alpha, g) of the ideal model at the frequencies with at least ``fraction`` of its value
+    there.
+    """
     values, vectors = np.linalg.eigh(_hermitian(ideal, step))
     top = values[:, -1].max()
     rows = values[:, -1] >= top - (1 - fraction) * abs(top)
@@ -157,13 +163,16 @@ def _trial(planes, scale: np.ndarray, tau: float) -> tuple[np.ndarray, float, np
     g = g * scale
     unit = float(alpha.max())
     m = alpha.size
-    # Dual, in units of F: minimise |g'w|²/(2 tau unit) - alpha'w/unit over w >= 0, sum w = 1, written with r = g'w.
+    # Dual, in units of F: minimise |g'w|²/(2 tau unit) - alpha'w/unit over w >= 0, sum w = 1, written with r
+    # = g'w.
     root = g.T / np.sqrt(tau * unit)
     n = root.shape[0]
     P = sp.diags([*np.zeros(m), *np.ones(n)]).tocsc()
     q = np.concatenate([-alpha / unit, np.zeros(n)])
     top = np.concatenate([np.ones(m), np.zeros(n)])[None]
-    A = sp.csc_matrix(np.vstack([top, np.hstack([root, -np.eye(n)]), np.hstack([-np.eye(m), np.zeros((m, n))])]))
+    A = sp.csc_matrix(
+        np.vstack([top, np.hstack([root, -np.eye(n)]), np.hstack([-np.eye(m), np.zeros((m, n))])])
+    )
     b = np.concatenate([[1.0], np.zeros(n + m)])
     settings = clarabel.DefaultSettings()
     settings.verbose = False

@@ -1,19 +1,20 @@
 """H-infinity norm with a certified upper bound and all its peak frequencies.
 
-Two-step method (Bruinsma & Steinbuch 1990; Vizer et al. 2014, section 2.4): gamma is a singular value of G(jw) exactly
-when jw is an eigenvalue of the Hamiltonian matrix
+Two-step method (Bruinsma & Steinbuch 1990; Vizer et al. 2014, section 2.4): gamma is a singular value of
+G(jw) exactly when jw is an eigenvalue of the Hamiltonian matrix
 
     H(gamma) = [ F            -B R^-1 B' ]      R = D'D - gamma² I,  F = A - B R^-1 D'C,
                [ gamma² C'S^-1 C    -F'  ]      S = D D' - gamma² I.
 
-Raise a lower bound gamma until H(gamma (1 + 2 tol)) has no eigenvalue on the imaginary axis: that level is then an
-upper bound. The crossings of the level eta * norm bracket every frequency band where the gain exceeds that level.
-numpy only; the arithmetic is done on a balanced, time-scaled copy of the system.
+Raise a lower bound gamma until H(gamma (1 + 2 tol)) has no eigenvalue on the imaginary axis: that level is
+then an upper bound. The crossings of the level eta * norm bracket every frequency band where the gain exceeds
+that level. numpy only; the arithmetic is done on a balanced, time-scaled copy of the system.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 import scipy.linalg
@@ -37,8 +38,8 @@ class HinfNorm:
     upper : float
         Certified upper bound: no singular value of G reaches this level at any frequency.
     frequencies : array, shape (k,)
-        Every peak (local maximum over frequency, 0 and inf included) whose gain is at least ``fraction * value``,
-        highest first; rad/s.
+        Every peak (local maximum over frequency, 0 and inf included) whose gain is at least ``fraction *
+        value``, highest first; rad/s.
     gains : array, shape (k,)
         sigma_max at these frequencies.
     fraction : float
@@ -90,8 +91,8 @@ def hinf_norm(system, *, tol: float = 1e-10, fraction: float = 0.99, max_iterati
 
     Notes
     -----
-    Bands above the level come from eigenvalues; peaks *within* one band are found on a grid refined around the poles,
-    so two peaks whose valley stays above the level are both returned when the grid separates them.
+    Bands above the level come from eigenvalues; peaks *within* one band are found on a grid refined around
+    the poles, so two peaks whose valley stays above the level are both returned when the grid separates them.
     """
     if not 0 < fraction <= 1:
         raise InputError(f"fraction = {fraction}; expected a number in (0, 1]")
@@ -121,24 +122,33 @@ def hinf_norm(system, *, tol: float = 1e-10, fraction: float = 0.99, max_iterati
             return HinfNorm(float(gains[0]), float(upper), back(peaks * unit), gains, fraction, count)
         value, upper, more = _two_step(scaled, float(gains[0]), tol, max_iterations)
         count += more
-    raise SolverError(f"the gain {gains[0]:.12g} keeps exceeding the certified level {upper:.12g}; loosen tol")
+    raise SolverError(
+        f"the gain {gains[0]:.12g} keeps exceeding the certified level {upper:.12g}; loosen tol"
+    )
 
 
 def _bilinear(m: Matrices) -> Matrices:
-    """Continuous system with the same values on the imaginary axis as m on the unit circle, s = (z - 1)/(z + 1)."""
+    """Continuous system with the same values on the imaginary axis as m on the unit circle, s = (z - 1)/(z +
+    1).
+    """
     inverse = np.linalg.inv(m.A + np.eye(m.order))
     root2 = np.sqrt(2.0)
     return Matrices(
-        inverse @ (m.A - np.eye(m.order)), root2 * inverse @ m.B, root2 * m.C @ inverse, m.D - m.C @ inverse @ m.B
+        inverse @ (m.A - np.eye(m.order)), root2 * inverse @ m.B,
+        root2 * m.C @ inverse, m.D - m.C @ inverse @ m.B,
     )
 
 
 def _scale(m: Matrices) -> tuple[Matrices, float]:
-    """Balance the states and measure time so that the fastest pole has modulus one; returns the frequency unit, rad/s."""
+    """Balance the states and measure time so that the fastest pole has modulus one.
+
+    Returns the frequency unit, rad/s.
+    """
     if not m.order:
         return m, 1.0
     unit = float(np.max(np.abs(m.poles)))
-    # Diagonal scaling of the whole realisation, so that large and small entries of B and C are evened out too.
+    # Diagonal scaling of the whole realisation, so that large and small entries of B and C are evened out
+    # too.
     nu, ny = m.B.shape[1], m.C.shape[0]
     block = np.zeros((m.order + nu + ny,) * 2)
     block[: m.order, : m.order] = m.A / unit
@@ -170,7 +180,9 @@ def _largest_singular(response: np.ndarray) -> np.ndarray:
 
 
 def _scan(m: Matrices, omega: np.ndarray) -> np.ndarray:
-    """The gains on a long grid, from the partial fractions when the eigenvectors allow it (about 1e-9 relative)."""
+    """The gains on a long grid, from the partial fractions when the eigenvectors allow it (about 1e-9
+    relative).
+    """
     values, vectors = np.linalg.eig(m.A)
     if np.linalg.cond(vectors) > 1e6:
         return gains_at(m, omega)
@@ -191,16 +203,22 @@ def _crossings(m: Matrices, gamma: float) -> np.ndarray:
         [[F, -gamma * m.B @ np.linalg.solve(R, m.B.T)], [gamma * m.C.T @ np.linalg.solve(S, m.C), -F.T]]
     )
     values = np.linalg.eigvals(H)
-    # A double eigenvalue just off the axis is perturbed by sqrt(eps): keep generous candidates, judge them by gain.
-    slack = 30 * np.sqrt(_EPS * np.linalg.norm(H, 1) * (np.abs(values) + _EPS)) + 10 * _EPS * np.linalg.norm(H, 1)
+    # A double eigenvalue just off the axis is perturbed by sqrt(eps): keep generous candidates, judge them by
+    # gain.
+    slack = 30 * np.sqrt(
+        _EPS * np.linalg.norm(H, 1) * (np.abs(values) + _EPS)
+    ) + 10 * _EPS * np.linalg.norm(H, 1)
     near = (np.abs(values.real) <= slack) & (values.imag >= 0)
     return np.unique(values.imag[near])
 
 
 def _bands(crossings: np.ndarray) -> list[tuple[float, float]]:
-    """Frequency bands where the gain may exceed a level: intervals between its neighbouring candidate crossings."""
+    """Frequency bands where the gain may exceed a level:
+
+    Intervals between its neighbouring candidate crossings.
+    """
     edges = np.unique(np.concatenate([[0.0], crossings, [np.inf]]))
-    return list(zip(edges[:-1], edges[1:], strict=True))
+    return list(pairwise(edges))
 
 
 def _middle(low: float, high: float) -> float:
@@ -217,7 +235,10 @@ def _highest(m: Matrices, omega: np.ndarray) -> tuple[float, float]:
 
 
 def _two_step(m: Matrices, value: float, tol: float, max_iterations: int) -> tuple[float, float, int]:
-    """Raise a lower bound until no singular value reaches value (1 + 2 tol); returns (value, that level, iterations)."""
+    """Raise a lower bound until no singular value reaches value (1 + 2 tol).
+
+    Returns (value, that level, iterations).
+    """
     if value <= 1e-300 or not m.order:
         return value if value > 1e-300 else 0.0, value, 0
     for count in range(1, max_iterations + 1):
@@ -227,12 +248,15 @@ def _two_step(m: Matrices, value: float, tol: float, max_iterations: int) -> tup
             return value, level, count
         points = np.unique([*candidates, *(_middle(a, b) for a, b in _bands(candidates))])
         best, _ = _highest(m, points)
-        if best < level:  # the candidates lie near the axis, not on it, unless the gain climbs next to one of them
+        # the candidates lie near the axis, not on it, unless the gain climbs next to one of them
+        if best < level:
             best = max(best, _climb(m, candidates))
         if best < level:
             return max(value, best), level, count
         value = best
-    raise SolverError(f"no certified H-infinity norm after {max_iterations} iterations; raise max_iterations or loosen tol")
+    raise SolverError(
+        f"no certified H-infinity norm after {max_iterations} iterations; raise max_iterations or loosen tol"
+    )
 
 
 def _climb(m: Matrices, points: np.ndarray) -> float:
@@ -242,7 +266,10 @@ def _climb(m: Matrices, points: np.ndarray) -> float:
 
 
 def _refine(m: Matrices, centres: np.ndarray, widths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Local maximum of the gain near each centre: sample, move to the vertex of the best parabola, shrink; all at once."""
+    """Local maximum of the gain near each centre:
+
+    Sample, move to the vertex of the best parabola, shrink; all at once.
+    """
     pattern = np.linspace(-1.0, 1.0, 9)
     centres, widths = centres.astype(float).copy(), widths.astype(float).copy()
     best_w, best_g = centres.copy(), gains_at(m, centres)
@@ -262,7 +289,8 @@ def _refine(m: Matrices, centres: np.ndarray, widths: np.ndarray) -> tuple[np.nd
         shift = np.where(inside, np.clip(0.5 * (before - after) / bend, -1, 1), 0.0)
         centres = np.abs(best_w + np.where(better, shift * widths * 0.25, 0.0))
         widths = widths * np.where(inside, 0.12, np.where(better, 1.0, 0.3))
-        if np.all((widths <= 1e-9 * (centres + 1e-12)) | (inside & (gained <= 1e-14 * best_g) & (widths < 1e-3 * centres))):
+        flat = inside & (gained <= 1e-14 * best_g) & (widths < 1e-3 * centres)
+        if np.all(flat | (widths <= 1e-9 * (centres + 1e-12))):
             break
     return best_w, best_g
 
@@ -301,7 +329,10 @@ def _same(w1: float, w2: float) -> bool:
 
 
 def _pole_grid(m: Matrices) -> np.ndarray:
-    """0, inf, and frequencies around the poles: their moduli, and their imaginary parts give or take the half-widths."""
+    """0, inf, and frequencies around the poles:
+
+    Their moduli, and their imaginary parts give or take the half-widths.
+    """
     if not m.order:
         return np.array([0.0, np.inf])
     poles = m.poles

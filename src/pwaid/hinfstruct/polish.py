@@ -1,9 +1,10 @@
 """Output-error polish: refine the parameters of a structured model on the recordings themselves.
 
-    minimise over theta and initial states   sum_k |y(k) - y_model(k)|²,   model discretised with the hold of the inputs.
+    minimise over theta and initial states   sum_k |y(k) - y_model(k)|²,   model discretised with the hold of
+    the inputs.
 
-For white measurement noise this is maximum likelihood; start it from the restructured theta. Levenberg-Marquardt with
-exact sensitivities (Frechet derivatives of the matrix exponential).
+For white measurement noise this is maximum likelihood; start it from the restructured theta.
+Levenberg-Marquardt with exact sensitivities (Frechet derivatives of the matrix exponential).
 """
 
 from __future__ import annotations
@@ -56,14 +57,18 @@ def polish_output_error(
     theta = model.check(theta)
     inputs, outputs = np.asarray(inputs, dtype=float), np.asarray(outputs, dtype=float)
     m = model.matrices(theta)
-    if inputs.ndim != 2 or outputs.ndim != 2 or inputs.shape[1] != m.B.shape[1] or outputs.shape != (len(inputs), len(m.C)):
+    fits = inputs.ndim == 2 and inputs.shape[1] == m.B.shape[1] and outputs.shape == (len(inputs), len(m.C))
+    if not fits:
         raise InputError(
-            f"inputs {inputs.shape} and outputs {outputs.shape}; expected (N, {m.B.shape[1]}) and (N, {len(m.C)})"
+            f"inputs {inputs.shape} and outputs {outputs.shape}; expected (N, {m.B.shape[1]}) and (N, "
+            f"{len(m.C)})"
         )
     if not (np.isfinite(inputs).all() and np.isfinite(outputs).all()):
         raise InputError("inputs or outputs contain NaN or infinite values; cut or interpolate them first")
     if outputs.size <= theta.size or not dt > 0:
-        raise InputError(f"{outputs.size} output samples for {theta.size} parameters at dt = {dt}: too few, or a bad dt")
+        raise InputError(
+            f"{outputs.size} output samples for {theta.size} parameters at dt = {dt}: too few, or a bad dt"
+        )
     if not m.stable:
         raise InputError("the model is unstable at the starting theta; restructure first")
     scale = parameter_scale(theta)
@@ -75,17 +80,25 @@ def polish_output_error(
         return np.nan_to_num(((simulated - outputs) * weight).ravel(), nan=1e6, posinf=1e6, neginf=-1e6)
 
     def jacobian(z):
-        return (_sensitivities(model, z * scale, inputs, dt) * weight[None, :, None]).reshape(outputs.size, -1) * scale
+        return (
+            _sensitivities(model, z * scale, inputs, dt) * weight[None, :, None]
+        ).reshape(outputs.size, -1) * scale
 
     low, high = model.bounds
     bounds = (low / scale, high / scale)
     run = scipy.optimize.least_squares(
-        residual, theta / scale, jac=jacobian, bounds=bounds, x_scale="jac", max_nfev=max_iterations, xtol=1e-12, ftol=1e-12
+        residual, theta / scale, jac=jacobian, bounds=bounds, x_scale="jac",
+        max_nfev=max_iterations, xtol=1e-12, ftol=1e-12,
     )
     polished = run.x * scale
     if not model.matrices(polished).stable:
-        raise SolverError("the polish ended in an unstable model; the recording may be too short or the structure wrong")
-    rmse = [np.sqrt(np.mean((residual(z).reshape(outputs.shape) / weight) ** 2, axis=0)) for z in (run.x, theta / scale)]
+        raise SolverError(
+            "the polish ended in an unstable model; the recording may be too short or the structure wrong"
+        )
+    rmse = [
+        np.sqrt(np.mean((residual(z).reshape(outputs.shape) / weight) ** 2, axis=0))
+        for z in (run.x, theta / scale)
+    ]
     J = jacobian(run.x)
     covariance = np.linalg.pinv(J.T @ J) * 2 * run.cost / max(outputs.size - theta.size, 1)
     return Polished(polished, rmse[0], rmse[1], np.sqrt(np.diag(covariance)) * scale)

@@ -1,10 +1,11 @@
 """Model matching: make structured models equal to given ones in the H-infinity norm.
 
-    minimise over theta   F(theta)^(1/2) = max_i || G_i(s, theta) - target_i(s) ||_inf        (paper 002, eq. 6, 14)
+    minimise over theta   F(theta)^(1/2) = max_i || G_i(s, theta) - target_i(s) ||_inf        (paper 002, eq.
+    6, 14)
 
-One operating point is the case of a single pair; several pairs that share theta give the joint fit of an LPV model.
-This file holds the problem: values, derivatives (24)-(25), active frequencies, and two certificates, a lower bound
-from what the structure cannot change and a stationarity measure.
+One operating point is the case of a single pair; several pairs that share theta give the joint fit of an LPV
+model. This file holds the problem: values, derivatives (24)-(25), active frequencies, and two certificates, a
+lower bound from what the structure cannot change and a stationarity measure.
 """
 
 from __future__ import annotations
@@ -67,12 +68,18 @@ class MatchingProblem:
 
     @classmethod
     def build(cls, models: StructuredModel | Sequence[StructuredModel], targets) -> MatchingProblem:
-        """Check and pair models with targets (each a control.StateSpace or tuple); one of each may stand alone."""
+        """Check and pair models with targets (each a control.StateSpace or tuple).
+
+        One of each may stand alone.
+        """
         if isinstance(models, StructuredModel):
             models, targets = [models], [targets]
         models, targets = tuple(models), list(targets)
         if not models or len(models) != len(targets):
-            raise InputError(f"{len(models)} models and {len(targets)} targets; expected one target per model, at least one")
+            raise InputError(
+                f"{len(models)} models and {len(targets)} targets; expected one target per model, at least "
+                "one"
+            )
         checked = tuple(as_matrices(t, f"target {i}") for i, t in enumerate(targets))
         for i, (model, target) in enumerate(zip(models, checked, strict=True)):
             if model.size != models[0].size:
@@ -81,7 +88,8 @@ class MatchingProblem:
                 raise InputError(f"target {i} is discrete (dt = {target.dt} s); convert it with d2c first")
             if not target.stable:
                 raise InputError(
-                    f"target {i} is unstable (poles {np.sort_complex(target.poles)[-2:]}): its H-infinity distance to any "
+                    f"target {i} is unstable (poles {np.sort_complex(target.poles)[-2:]}): its H-infinity "
+                    "distance to any "
                     "stable model is infinite; identify again with more block rows or another order"
                 )
             shape = model.evaluate(_probe(model))[3].shape
@@ -98,7 +106,8 @@ class MatchingProblem:
         return self.models[0].bounds
 
     def grid(self, points: int = 120) -> np.ndarray:
-        """Log-spaced frequencies (rad/s) from well below the slowest to well above the fastest target pole."""
+        """Log-spaced frequencies (rad/s) from well below the slowest to well above the fastest target pole.
+        """
         size = np.concatenate([np.abs(t.poles) for t in self.targets])
         size = size[size > 0]
         if not size.size:
@@ -121,13 +130,18 @@ class MatchingProblem:
         return np.inf if norms is None else max(n.value for n in norms)
 
     def active(self, theta: np.ndarray, fraction: float) -> tuple[float, ActiveSet] | None:
-        """Value, and the linearised error at every peak of at least ``fraction`` of it; None when unstable."""
+        """Value, and the linearised error at every peak of at least ``fraction`` of it.
+
+        None when unstable.
+        """
         norms = self.norms(theta, fraction)
         if norms is None:
             return None
         value = max(n.value for n in norms)
         picks = [
-            (i, w) for i, n in enumerate(norms) for w, g in zip(n.frequencies, n.gains, strict=True) if g >= fraction * value
+            (i, w) for i, n in enumerate(norms) for w, g in zip(
+                n.frequencies, n.gains, strict=True
+            ) if g >= fraction * value
         ]
         return value, self.linearise(theta, [p[0] for p in picks], [p[1] for p in picks])
 
@@ -145,7 +159,10 @@ class MatchingProblem:
         return ActiveSet(case, omega, error, slope)
 
     def residual(self, theta: np.ndarray, omega: np.ndarray, derivative: bool = False) -> np.ndarray:
-        """Stacked real and imaginary parts of the error on a grid, divided by sqrt(points); or its Jacobian."""
+        """Stacked real and imaginary parts of the error on a grid, divided by sqrt(points).
+
+        Or its Jacobian.
+        """
         parts = []
         for model, target in zip(self.models, self.targets, strict=True):
             if derivative:
@@ -162,10 +179,11 @@ class MatchingProblem:
         return [fixed_responses(model)[0] for model in self.models]
 
     def lower_bound(self, rng=None) -> tuple[float, str]:
-        """A value no theta can beat, from frequencies where the structure fixes the response; and where it comes from.
+        """A value no theta can beat, from frequencies where the structure fixes the response; and where it
+        comes from.
 
-        G(0) and G(inf) are compared at several random theta: a dependence that is rational in theta and equal there is
-        a constant with probability one. 0 when the structure fixes neither.
+        G(0) and G(inf) are compared at several random theta: a dependence that is rational in theta and equal
+        there is a constant with probability one. 0 when the structure fixes neither.
         """
         best, reason = 0.0, "the structure fixes no response"
         for i, (model, target) in enumerate(zip(self.models, self.targets, strict=True)):
@@ -180,10 +198,12 @@ class MatchingProblem:
         return best, reason
 
     def stationarity(self, theta: np.ndarray, scale: np.ndarray, tolerance: float = 1e-3) -> float:
-        """Length of the shortest convex combination of the active gradients, per unit of value, in scaled parameters.
+        """Length of the shortest convex combination of the active gradients, per unit of value, in scaled
+        parameters.
 
-        0 at a stationary (Clarke) point. s means: relative parameter changes of norm r lower the linearised maximum by
-        at most s r value. Peaks within ``tolerance`` of the maximum count as active. inf when theta is unstable.
+        0 at a stationary (Clarke) point. s means: relative parameter changes of norm r lower the linearised
+        maximum by at most s r value. Peaks within ``tolerance`` of the maximum count as active. inf when
+        theta is unstable.
         """
         found = self.active(theta, 1 - tolerance)
         if found is None:
@@ -194,7 +214,9 @@ class MatchingProblem:
         return float(np.linalg.norm(_shortest(active.gradients() * scale))) / value
 
 
-def response_and_slope(model: StructuredModel, theta: np.ndarray, omega: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def response_and_slope(
+    model: StructuredModel, theta: np.ndarray, omega: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
     """G(j omega), shape (k, ny, nu), and its derivatives (k, size, ny, nu): eq. (24)."""
     m = model.matrices(theta)
     dA, dB, dC, dD = model.differentiate(theta)
@@ -217,7 +239,9 @@ def fixed_responses(model: StructuredModel, rng=None) -> tuple[np.ndarray | None
     base = _probe(model)
     at_zero, at_infinity = [], []
     for _ in range(12):
-        shifted = np.where(base == 0, rng.uniform(-1, 1, model.size), base * rng.uniform(0.6, 1.4, model.size))
+        shifted = np.where(
+            base == 0, rng.uniform(-1, 1, model.size), base * rng.uniform(0.6, 1.4, model.size)
+        )
         m = model.matrices(np.clip(shifted, *model.bounds))
         if np.linalg.matrix_rank(m.A) == m.order:
             at_zero.append(m.at_zero())

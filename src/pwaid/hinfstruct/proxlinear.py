@@ -1,10 +1,11 @@
 """Prox-linear method: the nonsmooth minimax with exact spectral-norm cones.
 
-    minimise over d, t   t + (mu/2) |d|²   subject to   || E_k + sum_i dE_k,i d_i ||_2 <= t   for active (case, omega) k
+    minimise over d, t   t + (mu/2) |d|²   subject to   || E_k + sum_i dE_k,i d_i ||_2 <= t   for active
+    (case, omega) k
 
-is the linearised problem (18) kept whole: no cutting planes, the spectral norm of each linearised error enters as a
-positive semidefinite cone. Trial frequencies of a rejected step join the set. d is relative: theta + scale * d.
-The iteration ends when the unweighted local model promises nothing more.
+is the linearised problem (18) kept whole: no cutting planes, the spectral norm of each linearised error
+enters as a positive semidefinite cone. Trial frequencies of a rejected step join the set. d is relative:
+theta + scale * d. The iteration ends when the unweighted local model promises nothing more.
 """
 
 from __future__ import annotations
@@ -36,7 +37,8 @@ def prox_linear(
     Parameters
     ----------
     tol : float
-        Stop when the local model promises a relative decrease below this within relative parameter steps of ``radius``.
+        Stop when the local model promises a relative decrease below this within relative parameter steps of
+        ``radius``.
     fraction : float
         Peaks of at least this fraction of the norm enter the local model.
     radius : float
@@ -92,7 +94,9 @@ def _with_extra(problem: MatchingProblem, theta: np.ndarray, active: ActiveSet, 
     if not extra:
         return active
     more = problem.linearise(theta, [e[0] for e in extra], [e[1] for e in extra])
-    return ActiveSet(*(np.concatenate([getattr(active, f), getattr(more, f)]) for f in ("case", "omega", "error", "slope")))
+    return ActiveSet(
+        *(np.concatenate([getattr(active, f), getattr(more, f)]) for f in ("case", "omega", "error", "slope"))
+    )
 
 
 def _solve(active: ActiveSet, scale, mu, radius, low, high) -> tuple[np.ndarray | None, float]:
@@ -110,7 +114,9 @@ def _solve(active: ActiveSet, scale, mu, radius, low, high) -> tuple[np.ndarray 
     cone_a = -np.moveaxis(svec[:, 1:], 1, 2).reshape(-1, size + 1)
     cone_b = svec[:, 0].ravel()
     eye = np.hstack([np.eye(size), np.zeros((size, 1))])
-    box_a, box_b = np.vstack([eye, -eye]), np.concatenate([np.minimum(radius, high), np.minimum(radius, -low)])
+    box_a, box_b = np.vstack([eye, -eye]), np.concatenate(
+        [np.minimum(radius, high), np.minimum(radius, -low)]
+    )
     unit = float(active.gains().max())
     cone_a[:, -1] *= unit  # t in units of the present value
     A = sp.csc_matrix(np.vstack([box_a, cone_a / unit]))

@@ -1,8 +1,9 @@
-"""Restructuring: from a black-box model to the structure physics gives, min || G(s, theta) - target(s) ||_inf (6).
+"""Restructuring: from a black-box model to the structure physics gives, min || G(s, theta) - target(s) ||_inf
+(6).
 
-`restructure` treats one operating point, `restructure_path` several along a scheduling variable, each helping its
-neighbours. Stages: starts -> Levenberg-Marquardt on a frequency grid -> the best stable one -> (L-BFGS) -> a nonsmooth
-method, unless the certified lower bound is met already.
+`restructure` treats one operating point, `restructure_path` several along a scheduling variable, each helping
+its neighbours. Stages: starts -> Levenberg-Marquardt on a frequency grid -> the best stable one -> (L-BFGS)
+-> a nonsmooth method, unless the certified lower bound is met already.
 """
 
 from __future__ import annotations
@@ -15,8 +16,8 @@ import numpy as np
 
 from pwaid.errors import InputError, SolverError
 from pwaid.hinfstruct.balance import balance
-from pwaid.hinfstruct.norm import HinfNorm, hinf_norm
 from pwaid.hinfstruct.nonsmooth import NonsmoothRun, proximity_bundle
+from pwaid.hinfstruct.norm import HinfNorm, hinf_norm
 from pwaid.hinfstruct.problem import MatchingProblem
 from pwaid.hinfstruct.proxlinear import prox_linear
 from pwaid.hinfstruct.smooth import lbfgs, levenberg_marquardt, parameter_scale
@@ -45,10 +46,11 @@ class Restructured:
         No theta of this structure does better (0 when the structure fixes no response); see ``bound_reason``.
     bound_reason : str
     stationarity : float
-        Shortest convex combination of active gradients relative to the value, per relative parameter change; 0 at a
-        stationary point.
+        Shortest convex combination of active gradients relative to the value, per relative parameter change;
+        0 at a stationary point.
     converged : bool
-        The lower bound is met within 0.1 %, or the nonsmooth method ended with no decrease left in its local model.
+        The lower bound is met within 0.1 %, or the nonsmooth method ended with no decrease left in its local
+        model.
     predicted_decrease : float
         That remaining relative decrease.
     start : str
@@ -79,7 +81,10 @@ class Restructured:
 
     @property
     def at_bound(self) -> bool:
-        """The structure allows no smaller error (within 0.1 %): theta is then not unique, see `identifiability`."""
+        """The structure allows no smaller error (within 0.1 %):
+
+        Theta is then not unique, see `identifiability`.
+        """
         return self.value <= 1.001 * self.lower_bound
 
     @property
@@ -121,15 +126,15 @@ def restructure(
         Starting theta, tried besides the automatic ones: the nominal values, and for affine patterns
         `null_space_start` on the target, reduced by balanced truncation to the structure's order.
     method : "lm", "lbfgs", "bundle" or "prox-linear"
-        The last stage. "bundle" is the paper's (L-BFGS, then proximity-control bundle); "prox-linear" keeps the
-        spectral norm exact and is usually faster and no worse.
+        The last stage. "bundle" is the paper's (L-BFGS, then proximity-control bundle); "prox-linear" keeps
+        the spectral norm exact and is usually faster and no worse.
     restarts : int
         Further starts: the best theta so far with every entry changed by up to ``perturbation``, relative.
     max_iterations : int, optional
         Of the nonsmooth stage (default 300 bundle, 80 prox-linear).
     match_static_gain : bool
-        Where the structure fixes G(0), fit target(s) target(0)^-1 G(0) instead, which removes a static error that no
-        theta can follow and makes theta unique again; ``norm`` still refers to the given target.
+        Where the structure fixes G(0), fit target(s) target(0)^-1 G(0) instead, which removes a static error
+        that no theta can follow and makes theta unique again; ``norm`` still refers to the given target.
     rng : optional
 
     Returns
@@ -152,7 +157,9 @@ def restructure(
         if not np.isfinite(best.value):
             best = candidates[0]
         shaken = [
-            (f"restart {k + 1}", best.theta * (1 + perturbation * rng.uniform(-1, 1, model.size))) for k in range(restarts)
+            (
+                f"restart {k + 1}", best.theta * (1 + perturbation * rng.uniform(-1, 1, model.size))
+            ) for k in range(restarts)
         ]
         candidates += _descend(fitted, shaken)
     return _finish(problem, fitted, candidates, method, max_iterations)
@@ -170,9 +177,9 @@ def restructure_path(
 ) -> list[Restructured]:
     """Restructure along a scheduling variable; the targets come in its order.
 
-    Each point is solved from its own starts; then the neighbours' theta, and its extrapolation from two neighbours,
-    serve as starts in sweeps back and forth until no point improves. Parameters as in `restructure`; ``starts`` holds
-    one start (or list of starts) per point.
+    Each point is solved from its own starts; then the neighbours' theta, and its extrapolation from two
+    neighbours, serve as starts in sweeps back and forth until no point improves. Parameters as in
+    `restructure`; ``starts`` holds one start (or list of starts) per point.
 
     Raises
     ------
@@ -185,7 +192,9 @@ def restructure_path(
     models = [models] * len(targets) if isinstance(models, StructuredModel) else list(models)
     starts = [None] * len(targets) if starts is None else list(starts)
     if not targets or not len(models) == len(targets) == len(starts):
-        raise InputError(f"{len(models)} models, {len(targets)} targets, {len(starts)} starts; expected one each per point")
+        raise InputError(
+            f"{len(models)} models, {len(targets)} targets, {len(starts)} starts; expected one each per point"
+        )
     rng = np.random.default_rng(rng)
     problems = [_problem(m, t, match_static_gain) for m, t in zip(models, targets, strict=True)]
     found = [
@@ -193,13 +202,18 @@ def restructure_path(
         for (_, fitted), m, s in zip(problems, models, starts, strict=True)
     ]
     _exchange(problems, found)
-    results = [_finish(p, f, c, method, max_iterations, i) for i, ((p, f), c) in enumerate(zip(problems, found, strict=True))]
+    results = [
+        _finish(p, f, c, method, max_iterations, i)
+        for i, ((p, f), c) in enumerate(zip(problems, found, strict=True))
+    ]
     if method == "lm":
         return results
     # What the nonsmooth stage found may lead a neighbour into a better basin, too.
     for i, result in enumerate(results):
         nearby = [
-            (f"final of point {j}", results[j].theta) for j in (i - 1, i + 1) if 0 <= j < len(results) and not result.at_bound
+            (
+                f"final of point {j}", results[j].theta
+            ) for j in (i - 1, i + 1) if 0 <= j < len(results) and not result.at_bound
         ]
         fresh = _descend(problems[i][1], nearby)
         best = min(fresh, key=lambda c: c.value, default=None)
@@ -208,14 +222,18 @@ def restructure_path(
     return results
 
 
-def _problem(model: StructuredModel, target: Matrices, match_static_gain: bool) -> tuple[MatchingProblem, MatchingProblem]:
+def _problem(
+    model: StructuredModel, target: Matrices, match_static_gain: bool
+) -> tuple[MatchingProblem, MatchingProblem]:
     """The problem as given and the one to be fitted."""
     problem = MatchingProblem.build(model, target)
     if not match_static_gain:
         return problem, problem
     fixed = problem.static_gains()[0]
     if fixed is None:
-        raise InputError("match_static_gain needs a structure whose G(0) does not depend on theta; leave it False")
+        raise InputError(
+            "match_static_gain needs a structure whose G(0) does not depend on theta; leave it False"
+        )
     right = np.linalg.lstsq(problem.targets[0].at_zero(), fixed, rcond=None)[0]
     m = problem.targets[0]
     return problem, MatchingProblem.build(model, Matrices(m.A, m.B @ right, m.C, m.D @ right))
@@ -237,7 +255,9 @@ def _starts(model: StructuredModel, target: Matrices, start, rng) -> list[tuple[
             except (InputError, SolverError, np.linalg.LinAlgError):
                 pass  # this start is an offer; the others stand
     if not chosen:
-        raise InputError("no start: give start=, or nominal values to the parameters (no automatic start applies here)")
+        raise InputError(
+            "no start: give start=, or nominal values to the parameters (no automatic start applies here)"
+        )
     return chosen
 
 
@@ -253,7 +273,10 @@ def _descend(problem: MatchingProblem, starts) -> list[_Candidate]:
 
 
 def _exchange(problems, found: list[list[_Candidate]], sweeps: int = 3) -> None:
-    """Continuation: neighbours' theta as starts, back and forth, until nothing improves. Extends ``found`` in place."""
+    """Continuation:
+
+    Neighbours' theta as starts, back and forth, until nothing improves. Extends ``found`` in place.
+    """
     n = len(problems)
     bounds = [fitted.lower_bound()[0] for _, fitted in problems]
     tried: list[set] = [set() for _ in range(n)]
@@ -312,7 +335,9 @@ def _finish(problem, fitted, candidates, method, max_iterations, point: int | No
     )
 
 
-def _last_stage(problem: MatchingProblem, best: _Candidate, method: str, max_iterations, bound: float) -> NonsmoothRun:
+def _last_stage(
+    problem: MatchingProblem, best: _Candidate, method: str, max_iterations, bound: float
+) -> NonsmoothRun:
     met = best.value <= 1.001 * bound
     if met or method == "lm":
         return NonsmoothRun(best.theta, best.value, 0.0 if met else np.nan, met, np.array([best.value]))

@@ -1,4 +1,7 @@
-"""Simulation of continuous LPV models along a scheduling trajectory: Runge-Kutta 4, inputs held between samples."""
+"""Simulation of continuous LPV models along a scheduling trajectory:
+
+Runge-Kutta 4, inputs held between samples.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +19,16 @@ def check_trajectory(time, inputs, schedule, n_inputs: int, name: str = "kappa")
     inputs = np.ascontiguousarray(inputs, dtype=float)
     schedule = np.ascontiguousarray(schedule, dtype=float)
     inputs = inputs.reshape(len(inputs), -1)
-    if time.ndim != 1 or time.size < 2 or inputs.shape != (time.size, n_inputs) or schedule.shape != time.shape:
+    fits = inputs.shape == (time.size, n_inputs) and schedule.shape == time.shape
+    if time.ndim != 1 or time.size < 2 or not fits:
         raise InputError(
-            f"time {time.shape}, inputs {inputs.shape}, {name} {schedule.shape}: expected (N,), (N, {n_inputs}), (N,), N >= 2"
+            f"time {time.shape}, inputs {inputs.shape}, {name} {schedule.shape}: expected (N,), (N, "
+            f"{n_inputs}), (N,), N >= 2"
         )
     if not (np.isfinite(time).all() and np.isfinite(inputs).all() and np.isfinite(schedule).all()):
-        raise InputError(f"time, inputs or {name} contain NaN or infinite values; cut or interpolate them first")
+        raise InputError(
+            f"time, inputs or {name} contain NaN or infinite values; cut or interpolate them first"
+        )
     steps = np.diff(time)
     if steps.min() <= 0 or np.ptp(steps) > 1e-6 * steps.mean():
         raise InputError("time is not increasing with a constant step; resample the recording first")
@@ -60,7 +67,8 @@ def simulate_lpv(stacked, time, inputs, kappa, *, x0=None, substeps: int = 1) ->
     fastest = np.abs(np.linalg.eigvals(ends[0])).max() if ends[0].shape[1] else 0.0
     if fastest * dt > 2.5:
         raise InputError(
-            f"the step {dt:.3g} s is too long for a pole of {fastest:.3g} rad/s; pass substeps >= {int(np.ceil(fastest * dt * substeps / 1.5))}"
+            f"the step {dt:.3g} s is too long for a pole of {fastest:.3g} rad/s; pass substeps >= "
+            f"{int(np.ceil(fastest * dt * substeps / 1.5))}"
         )
     fine = np.interp(
         np.arange((time.size - 1) * 2 * substeps + 1) * dt / 2, time - time[0], kappa

@@ -1,4 +1,7 @@
-"""Smooth stages of the restructuring: Levenberg-Marquardt on a frequency grid, then L-BFGS on the squared norm."""
+"""Smooth stages of the restructuring:
+
+Levenberg-Marquardt on a frequency grid, then L-BFGS on the squared norm.
+"""
 
 from __future__ import annotations
 
@@ -11,7 +14,8 @@ __all__ = ["lbfgs", "levenberg_marquardt", "parameter_scale"]
 
 
 def parameter_scale(theta: np.ndarray) -> np.ndarray:
-    """Size of each parameter, floored at 1e-3 of the median, so that entries near zero keep a sensible step."""
+    """Size of each parameter, floored at 1e-3 of the median, so that entries near zero keep a sensible step.
+    """
     size = np.abs(theta)
     return np.maximum(size, max(1e-3 * float(np.median(size)), 1e-12))
 
@@ -34,16 +38,21 @@ def levenberg_marquardt(
 
     def jacobian(z):
         with np.errstate(all="ignore"):
-            return np.nan_to_num(problem.residual(z * scale, omega, derivative=True) * scale, posinf=1e6, neginf=-1e6)
+            return np.nan_to_num(
+                problem.residual(z * scale, omega, derivative=True) * scale, posinf=1e6, neginf=-1e6
+            )
 
     options = {"xtol": 1e-13, "ftol": 1e-13, "gtol": 1e-13, "max_nfev": max_iterations}
     try:
         if free:
-            run = scipy.optimize.least_squares(residual, theta / scale, jac=jacobian, method="lm", x_scale="jac", **options)
+            run = scipy.optimize.least_squares(
+                residual, theta / scale, jac=jacobian, method="lm", x_scale="jac", **options
+            )
         else:
             start = np.clip(theta, low + 1e-9 * scale, high - 1e-9 * scale)
             run = scipy.optimize.least_squares(
-                residual, start / scale, jac=jacobian, method="trf", x_scale="jac", bounds=(low / scale, high / scale), **options
+                residual, start / scale, jac=jacobian, method="trf", x_scale="jac",
+                bounds=(low / scale, high / scale), **options,
             )
     except np.linalg.LinAlgError:
         return theta
@@ -53,7 +62,8 @@ def levenberg_marquardt(
 def lbfgs(problem: MatchingProblem, theta: np.ndarray, *, max_iterations: int = 150) -> np.ndarray:
     """L-BFGS on F = ||error||_inf² with the gradient at the highest peak (remark 2 of Vizer et al. 2014).
 
-    F is not smooth, so this stops at a kink; an unstable trial counts as a large value. Returns the best stable theta.
+    F is not smooth, so this stops at a kink; an unstable trial counts as a large value. Returns the best
+    stable theta.
     """
     scale = parameter_scale(theta)
     best_value, best = problem.value(theta), theta
@@ -73,6 +83,8 @@ def lbfgs(problem: MatchingProblem, theta: np.ndarray, *, max_iterations: int = 
 
     bounds = [(lo / s, hi / s) for lo, hi, s in zip(*problem.bounds, scale, strict=True)]
     scipy.optimize.minimize(
-        cost, theta / scale, jac=True, method="L-BFGS-B", bounds=bounds, options={"maxiter": max_iterations, "maxcor": 20}
+        cost, theta / scale, jac=True, method="L-BFGS-B", bounds=bounds, options={
+            "maxiter": max_iterations, "maxcor": 20
+        }
     )
     return best

@@ -1,9 +1,12 @@
 """Starting parameters from a black-box model of the right order: x_blackbox = S x_structured.
 
-* `velocity_loop_start`: closed form for flexible arms with velocity loops, eq. (32); exact on noise-free models.
-* `printed_start_system`: the linear equations (34) of Vizer et al. (2014), which fix 28 of the 36 unknowns only.
-* `null_space_start`: any affine pattern. Combinations of the similarity equations without theta are linear in S; in
-  their null space the others are solved by Gauss-Newton from several random points (after Prot, Mercère & Ramos 2012).
+* `velocity_loop_start`: closed form for flexible arms with velocity loops, eq. (32); exact on noise-free
+  models.
+* `printed_start_system`: the linear equations (34) of Vizer et al. (2014), which fix 28 of the 36 unknowns
+  only.
+* `null_space_start`: any affine pattern. Combinations of the similarity equations without theta are linear in
+  S; in their null space the others are solved by Gauss-Newton from several random points (after Prot, Mercère
+  & Ramos 2012).
 """
 
 from __future__ import annotations
@@ -23,10 +26,11 @@ __all__ = ["null_space_start", "printed_start_system", "velocity_loop_start"]
 def velocity_loop_start(target, output) -> np.ndarray:
     """Free entries of (32) from a black-box model, in closed form.
 
-    Holds for x = (v, dtheta, dv) with as many springs as joints, B = -A[:, joints] and C = [0 | C1]. With S the change
-    of state, its blocks follow one after the other:
+    Holds for x = (v, dtheta, dv) with as many springs as joints, B = -A[:, joints] and C = [0 | C1]. With S
+    the change of state, its blocks follow one after the other:
 
-        S_dtheta = -A^-1 B,  X = -(C B)^-1 C A B,  V = A B + B X,  Y = C12^-1 C A^-1 V,  S_v = V Y^-1,  S_dv = A^-1 S_v,
+        S_dtheta = -A^-1 B,  X = -(C B)^-1 C A B,  V = A B + B X,  Y = C12^-1 C A^-1 V,  S_v = V Y^-1,  S_dv =
+        A^-1 S_v,
 
     where C12 is the part of C1 that multiplies dv.
 
@@ -53,8 +57,10 @@ def velocity_loop_start(target, output) -> np.ndarray:
     nj = m.B.shape[1]
     if m.order != 3 * nj or output.shape != (nj, 2 * nj) or m.C.shape[0] != nj:
         raise InputError(
-            f"target has order {m.order}, {nj} inputs, {m.C.shape[0]} outputs and C1 has shape {output.shape}; this start "
-            f"needs order {3 * nj} and C1 of shape ({nj}, {2 * nj}); reduce the order first, or start from a neighbour"
+            f"target has order {m.order}, {nj} inputs, {m.C.shape[0]} outputs and C1 has shape "
+            f"{output.shape}; this start "
+            f"needs order {3 * nj} and C1 of shape ({nj}, {2 * nj}); reduce the order first, or start from "
+            "a neighbour"
         )
     try:
         S34 = -np.linalg.solve(m.A, m.B)
@@ -65,12 +71,15 @@ def velocity_loop_start(target, output) -> np.ndarray:
         S = np.hstack([S12, S34, np.linalg.solve(m.A, S12)])
         A = np.linalg.solve(S, m.A @ S)
     except np.linalg.LinAlgError as error:
-        raise InputError(f"the black-box model does not have the structure of a velocity-loop arm ({error})") from error
+        raise InputError(
+            f"the black-box model does not have the structure of a velocity-loop arm ({error})"
+        ) from error
     return A[nj:, : 2 * nj].ravel(order="F")
 
 
 def printed_start_system(target, output) -> tuple[np.ndarray, np.ndarray]:
-    """The printed initialisation (34) as ``matrix @ vec(T) = right``, vec by columns: rank-deficient, for the record.
+    """The printed initialisation (34) as ``matrix @ vec(T) = right``, vec by columns: rank-deficient, for the
+    record.
 
     (34a) first rows of T A equal the integrators, (34b) the springs are not driven, (34c) C_blackbox = C T.
     """
@@ -90,9 +99,9 @@ def printed_start_system(target, output) -> tuple[np.ndarray, np.ndarray]:
 def null_space_start(model: StructuredModel, target, *, restarts: int = 40, rng=None) -> np.ndarray:
     """theta of an affine structured model from a black-box model of the same order.
 
-    Minimises the bilinear residual of A_bb S = S A(theta), B_bb = S B(theta), C_bb S = C(theta) over the S that satisfy
-    those combinations of these equations that are free of theta, with theta eliminated by least squares. The dual
-    equations (in S^-1) are used instead when they leave fewer unknowns.
+    Minimises the bilinear residual of A_bb S = S A(theta), B_bb = S B(theta), C_bb S = C(theta) over the S
+    that satisfy those combinations of these equations that are free of theta, with theta eliminated by least
+    squares. The dual equations (in S^-1) are used instead when they leave fewer unknowns.
 
     Raises
     ------
@@ -106,7 +115,10 @@ def null_space_start(model: StructuredModel, target, *, restarts: int = 40, rng=
         raise InputError("null_space_start needs an affine pattern model; give a nominal theta instead")
     constant = Matrices(*model.evaluate(np.zeros(model.size)))
     if constant.order != m.order:
-        raise InputError(f"the target has order {m.order} and the structure {constant.order}; balance(target, order=) first")
+        raise InputError(
+            f"the target has order {m.order} and the structure {constant.order}; balance(target, order=) "
+            "first"
+        )
     rng = np.random.default_rng(rng)
     primal = (m, constant, model.differentiate(np.zeros(model.size))[:3])
     forms = [(form, *_linear_solutions(*form)) for form in (primal, _dual(*primal))]
@@ -118,22 +130,30 @@ def null_space_start(model: StructuredModel, target, *, restarts: int = 40, rng=
         return _best_theta((particular + basis @ z).reshape(n, n, order="F"), *form)[1]
 
     best, best_cost, repeats = None, np.inf, 0
-    for _ in range(restarts if basis.shape[1] else 1):
-        z = size * 10 ** rng.uniform(-1, 1.5) * rng.standard_normal(basis.shape[1]) / np.sqrt(max(basis.shape[1], 1))
-        if basis.shape[1]:
-            z = scipy.optimize.least_squares(residual, z, x_scale="jac", max_nfev=100, ftol=1e-12, xtol=1e-12).x
+    unknowns = basis.shape[1]
+    for _ in range(restarts if unknowns else 1):
+        z = size * 10 ** rng.uniform(-1, 1.5) * rng.standard_normal(unknowns) / np.sqrt(max(unknowns, 1))
+        if unknowns:
+            z = scipy.optimize.least_squares(
+                residual, z, x_scale="jac", max_nfev=100, ftol=1e-12, xtol=1e-12
+            ).x
         S = (particular + basis @ z).reshape(n, n, order="F")
         theta, gap = _best_theta(S, *form)
         cost = float(gap @ gap)
         if not np.isfinite(theta).all() or np.linalg.cond(S) > 1e10:
             continue
-        repeats = repeats + 1 if abs(cost - best_cost) <= 1e-3 * best_cost else 0 if cost < best_cost else repeats
+        if abs(cost - best_cost) <= 1e-3 * best_cost:
+            repeats += 1
+        elif cost < best_cost:
+            repeats = 0
         if cost < best_cost:
             best, best_cost = theta, cost
         if best_cost < 1e-18 or repeats >= 2:  # exact, or reached three times
             break
     if best is None:
-        raise SolverError(f"no invertible similarity was found in {restarts} starts; raise restarts or give a start")
+        raise SolverError(
+            f"no invertible similarity was found in {restarts} starts; raise restarts or give a start"
+        )
     return best
 
 
@@ -145,9 +165,11 @@ def _dual(m: Matrices, constant: Matrices, slopes):
 
 
 def _linear_solutions(m: Matrices, constant: Matrices, slopes) -> tuple[np.ndarray, np.ndarray]:
-    """All vec(S) = particular + basis z that satisfy the combinations of the equations in which theta cancels.
+    """All vec(S) = particular + basis z that satisfy the combinations of the equations in which theta
+    cancels.
 
-    Columns w with [dA_k dB_k] w = 0 for every k give A_bb S w_a + B_bb w_b = S (A_0 w_a + B_0 w_b); likewise for C.
+    Columns w with [dA_k dB_k] w = 0 for every k give A_bb S w_a + B_bb w_b = S (A_0 w_a + B_0 w_b); likewise
+    for C.
     """
     n = m.order
     dA, dB, dC = slopes
@@ -173,7 +195,9 @@ def _best_theta(S, m: Matrices, constant: Matrices, slopes):
     unit = float(np.abs(m.poles).max())
     weights = (1 / unit, 1 / unit, 1.0)
     dA, dB, dC = slopes
-    left = np.hstack([w * d.reshape(len(d), -1) for w, d in zip(weights, (S @ dA, S @ dB, dC), strict=True)]).T
+    left = np.hstack(
+        [w * d.reshape(len(d), -1) for w, d in zip(weights, (S @ dA, S @ dB, dC), strict=True)]
+    ).T
     gaps = (m.A @ S - S @ constant.A, m.B - S @ constant.B, m.C @ S - constant.C)
     right = np.concatenate([(w * g).ravel() for w, g in zip(weights, gaps, strict=True)])
     scale = np.maximum(np.linalg.norm(left, axis=0), 1e-300)

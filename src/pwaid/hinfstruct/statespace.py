@@ -1,7 +1,9 @@
-"""Plain state-space arithmetic on (A, B, C, D): checks, differences, frequency responses, held-input simulation.
+"""Plain state-space arithmetic on (A, B, C, D): checks, differences, frequency responses, held-input
+simulation.
 
-`Matrices` is the coin of the package: four read-only float arrays and the sampling time (0 for continuous time).
-Public functions take `control.StateSpace`, a `Matrices`, or a tuple (A, B, C, D), and give `control.StateSpace` back.
+`Matrices` is the coin of the package: four read-only float arrays and the sampling time (0 for continuous
+time). Public functions take `control.StateSpace`, a `Matrices`, or a tuple (A, B, C, D), and give
+`control.StateSpace` back.
 """
 
 from __future__ import annotations
@@ -18,7 +20,10 @@ __all__ = ["Matrices", "as_matrices", "difference", "frequency_response", "simul
 
 
 class Matrices(NamedTuple):
-    """State-space matrices A (n, n), B (n, nu), C (ny, n), D (ny, nu) and the sampling time in seconds (0: continuous)."""
+    """State-space matrices A (n, n), B (n, nu), C (ny, n), D (ny, nu) and the sampling time in seconds (0:
+
+    Continuous).
+    """
 
     A: np.ndarray
     B: np.ndarray
@@ -75,11 +80,15 @@ def as_matrices(system, name: str = "system", dt: float | None = None) -> Matric
     elif isinstance(system, tuple | list) and len(system) == 4:
         parts, step = system, float(dt or 0.0)
     else:
-        raise InputError(f"{name} is a {type(system).__name__}; expected control.StateSpace or a tuple (A, B, C, D)")
+        raise InputError(
+            f"{name} is a {type(system).__name__}; expected control.StateSpace or a tuple (A, B, C, D)"
+        )
     try:
         A, B, C, D = (np.atleast_2d(np.array(m, dtype=float)) for m in parts)
     except (TypeError, ValueError) as error:
-        raise InputError(f"{name}: the matrices are not real numbers ({error}); pass four real 2-d arrays") from error
+        raise InputError(
+            f"{name}: the matrices are not real numbers ({error}); pass four real 2-d arrays"
+        ) from error
     n = A.shape[0] if A.size else 0
     if n == 0:
         A, B, C = np.zeros((0, 0)), np.zeros((0, D.shape[1])), np.zeros((D.shape[0], 0))
@@ -90,13 +99,18 @@ def as_matrices(system, name: str = "system", dt: float | None = None) -> Matric
         )
     for label, m in zip("ABCD", (A, B, C, D), strict=True):
         if not np.isfinite(m).all():
-            raise InputError(f"{name}: {label} contains NaN or infinite values; check where the model came from")
+            raise InputError(
+                f"{name}: {label} contains NaN or infinite values; check where the model came from"
+            )
         m.flags.writeable = False
     return Matrices(A, B, C, D, step)
 
 
 def to_control(m: Matrices, **names) -> control.StateSpace:
-    """`control.StateSpace` with the same matrices; ``names`` are passed on (inputs, outputs, states, name)."""
+    """`control.StateSpace` with the same matrices.
+
+    ``names`` are passed on (inputs, outputs, states, name).
+    """
     return control.StateSpace(m.A, m.B, m.C, m.D, m.dt, remove_useless_states=False, **names)
 
 
@@ -104,11 +118,14 @@ def difference(G: Matrices, H: Matrices) -> Matrices:
     """The error system G - H."""
     if G.D.shape != H.D.shape:
         raise InputError(
-            f"the systems have {G.D.shape[0]} outputs x {G.D.shape[1]} inputs and {H.D.shape[0]} x {H.D.shape[1]}; "
+            f"the systems have {G.D.shape[0]} outputs x {G.D.shape[1]} inputs and {H.D.shape[0]} x "
+            f"{H.D.shape[1]}; "
             "they must agree to be compared"
         )
     if G.dt != H.dt:
-        raise InputError(f"the systems have sampling times {G.dt} and {H.dt} s; convert one of them (d2c) first")
+        raise InputError(
+            f"the systems have sampling times {G.dt} and {H.dt} s; convert one of them (d2c) first"
+        )
     A = np.zeros((G.order + H.order,) * 2)
     A[: G.order, : G.order], A[G.order :, G.order :] = G.A, H.A
     return Matrices(A, np.vstack([G.B, H.B]), np.hstack([G.C, -H.C]), G.D - H.D, G.dt)
@@ -121,7 +138,10 @@ def resolvent_parts(m: Matrices, omega: np.ndarray) -> tuple[np.ndarray, np.ndar
 
 
 def frequency_response(m: Matrices, omega) -> np.ndarray:
-    """G(j omega), shape (k, ny, nu), for omega in rad/s; ``inf`` gives D. Discrete systems use z = exp(j omega dt)."""
+    """G(j omega), shape (k, ny, nu), for omega in rad/s.
+
+    ``inf`` gives D. Discrete systems use z = exp(j omega dt).
+    """
     omega = np.atleast_1d(np.asarray(omega, dtype=float))
     out = np.broadcast_to(m.D, (omega.size, *m.D.shape)).astype(complex)
     finite = np.isfinite(omega)

@@ -1,7 +1,8 @@
 """Structured models: (A(theta), B(theta), C(theta), D(theta)) with a known dependence on a few parameters.
 
-Three ways to one: a pattern of free entries (`StructuredModel.from_pattern`), a Python function of named physical
-parameters (`StructuredModel.from_function`), or a change of parameters of an existing model (`reparametrise`).
+Three ways to one: a pattern of free entries (`StructuredModel.from_pattern`), a Python function of named
+physical parameters (`StructuredModel.from_function`), or a change of parameters of an existing model
+(`reparametrise`).
 """
 
 from __future__ import annotations
@@ -46,7 +47,8 @@ class Parameter:
             raise InputError(f"parameter {self.name!r}: low {self.low} must be below high {self.high}")
         if np.isfinite(self.nominal) and not self.low <= self.nominal <= self.high:
             raise InputError(
-                f"parameter {self.name!r}: nominal {self.nominal} lies outside [{self.low}, {self.high}] {self.unit}"
+                f"parameter {self.name!r}: nominal {self.nominal} lies outside [{self.low}, {self.high}] "
+                f"{self.unit}"
             )
 
 
@@ -73,16 +75,19 @@ class StructuredModel:
     affine: bool = False
 
     @classmethod
-    def from_pattern(cls, A, B, C, D=None, *, parameters: Sequence[Parameter] | None = None) -> StructuredModel:
-        """Model from matrices whose entries are numbers or parameter names with a factor, such as ``"-k"`` or ``"2*k"``.
+    def from_pattern(
+        cls, A, B, C, D=None, *, parameters: Sequence[Parameter] | None = None
+    ) -> StructuredModel:
+        """Model from matrices whose entries are numbers or parameter names with a factor, such as ``"-k"`` or
+        ``"2*k"``.
 
         Parameters
         ----------
         A, B, C, D : nested sequences of numbers and strings
             One name may stand in several places. D defaults to zero.
         parameters : sequence of Parameter, optional
-            Units and bounds; its order fixes the order of theta. Default: order of first appearance, column by
-            column through A, B, C, D.
+            Units and bounds; its order fixes the order of theta. Default: order of first appearance, column
+            by column through A, B, C, D.
 
         Raises
         ------
@@ -98,7 +103,9 @@ class StructuredModel:
         names = [p.name for p in parameters]
         _check_names(names)
         if set(names) != set(order):
-            raise InputError(f"the pattern uses the parameters {sorted(order)} and {sorted(names)} were declared")
+            raise InputError(
+                f"the pattern uses the parameters {sorted(order)} and {sorted(names)} were declared"
+            )
         index = {name: k for k, name in enumerate(names)}
         constants, slopes = [], []
         for constant, terms in parsed:
@@ -127,9 +134,9 @@ class StructuredModel:
         Parameters
         ----------
         jacobian : callable or "complex-step"
-            ``theta -> (dA, dB, dC, dD)``, parameter along axis 0. The complex step is exact to rounding when the
-            function is analytic and accepts complex theta (no abs, max, comparisons or ``float()`` on it); this is
-            tested once at the nominal values against central differences.
+            ``theta -> (dA, dB, dC, dD)``, parameter along axis 0. The complex step is exact to rounding when
+            the function is analytic and accepts complex theta (no abs, max, comparisons or ``float()`` on
+            it); this is tested once at the nominal values against central differences.
 
         Raises
         ------
@@ -140,7 +147,9 @@ class StructuredModel:
         _check_names([p.name for p in parameters])
         nominal = np.array([p.nominal for p in parameters])
         if not np.isfinite(nominal).all():
-            raise InputError("every parameter of a function model needs a finite nominal value, to test the function there")
+            raise InputError(
+                "every parameter of a function model needs a finite nominal value, to test the function there"
+            )
         blocks = function(nominal)
         if not isinstance(blocks, tuple | list) or len(blocks) != 4:
             raise InputError("the function must return four matrices (A, B, C, D)")
@@ -178,7 +187,9 @@ class StructuredModel:
         """theta as a finite float vector of the right length."""
         theta = np.asarray(theta, dtype=float)
         if theta.shape != (self.size,):
-            raise InputError(f"theta has shape {theta.shape}; this model has {self.size} parameters {self.names}")
+            raise InputError(
+                f"theta has shape {theta.shape}; this model has {self.size} parameters {self.names}"
+            )
         if not np.isfinite(theta).all():
             bad = [n for n, v in zip(self.names, theta, strict=True) if not np.isfinite(v)]
             raise InputError(f"theta is not finite for {bad}; give finite values")
@@ -195,7 +206,8 @@ class StructuredModel:
     def reparametrise(
         self, parameters: Sequence[Parameter], function: Callable, jacobian: Callable | None = None
     ) -> StructuredModel:
-        """The same model in new parameters p, with theta = function(p), d theta/d p = jacobian(p) of shape (size, len(p)).
+        """The same model in new parameters p, with theta = function(p), d theta/d p = jacobian(p) of shape
+        (size, len(p)).
 
         Without a jacobian the complex step is used.
         """
@@ -205,7 +217,9 @@ class StructuredModel:
 
             def jacobian(p):
                 step = 1e-30 * np.maximum(np.abs(p), 1e-30)
-                columns = [np.imag(function(p + 1j * np.eye(len(p))[k] * step[k])) / step[k] for k in range(len(p))]
+                columns = [
+                    np.imag(function(p + 1j * np.eye(len(p))[k] * step[k])) / step[k] for k in range(len(p))
+                ]
                 return np.stack(columns, axis=1)
 
         def differentiate(p):
@@ -213,7 +227,11 @@ class StructuredModel:
             return tuple(np.tensordot(slope.T, d, 1) for d in self.differentiate(function(p)))
 
         return replace(
-            self, parameters=parameters, evaluate=lambda p: self.evaluate(function(p)), differentiate=differentiate, affine=False
+            self,
+            parameters=parameters,
+            evaluate=lambda p: self.evaluate(function(p)),
+            differentiate=differentiate,
+            affine=False,
         )
 
 
@@ -232,7 +250,9 @@ def _parse(block, label: str):
             if isinstance(entry, str):
                 match = _TERM.match(entry)
                 if not match:
-                    raise InputError(f"pattern {label}[{i}, {j}] = {entry!r}; write a name, '-name' or '2.5*name'")
+                    raise InputError(
+                        f"pattern {label}[{i}, {j}] = {entry!r}; write a name, '-name' or '2.5*name'"
+                    )
                 sign, factor, name = match.groups()
                 terms.append((name, i, j, float(factor or 1.0) * (-1.0 if sign == "-" else 1.0)))
             else:
@@ -253,7 +273,9 @@ def _check_names(names: list[str]) -> None:
 def _check_shapes(A, B, C, D) -> None:
     n, nu, ny = A.shape[0], B.shape[1], C.shape[0]
     if A.shape != (n, n) or B.shape != (n, nu) or C.shape != (ny, n) or D.shape != (ny, nu):
-        raise InputError(f"the matrices do not fit together: A {A.shape}, B {B.shape}, C {C.shape}, D {D.shape}")
+        raise InputError(
+            f"the matrices do not fit together: A {A.shape}, B {B.shape}, C {C.shape}, D {D.shape}"
+        )
 
 
 def _complex_step(evaluate: Callable) -> Callable:
@@ -275,7 +297,8 @@ def _check_analytic(evaluate: Callable, differentiate: Callable, theta: np.ndarr
         exact = differentiate(theta)
     except (TypeError, ValueError) as error:
         raise InputError(
-            f"the function does not accept complex parameters ({error}); avoid float() and comparisons on them, "
+            f"the function does not accept complex parameters ({error}); avoid float() and comparisons on "
+            "them, "
             "build arrays with np.array([...]), or pass jacobian="
         ) from error
     for k in range(theta.size):
@@ -286,6 +309,7 @@ def _check_analytic(evaluate: Callable, differentiate: Callable, theta: np.ndarr
             tolerance = 1e-4 * (np.abs(central).max() + np.abs(d[k]).max()) + 1e-9 * np.abs(plus).max() / step
             if np.abs(central - d[k]).max() > tolerance:
                 raise InputError(
-                    f"the complex-step derivative with respect to parameter {k} disagrees with central differences: the "
+                    f"the complex-step derivative with respect to parameter {k} disagrees with central "
+                    "differences: the "
                     "function is not analytic there (abs, max, real, conj ...); rewrite it or pass jacobian="
                 )

@@ -1,12 +1,14 @@
-"""Subspace identification from several experiments: PI-MOESP and PO-MOESP (Verhaegen & Verdult 2007, chapter 9).
+"""Subspace identification from several experiments: PI-MOESP and PO-MOESP (Verhaegen & Verdult 2007, chapter
+9).
 
-From the LQ factorisation of [U_f; Z; Y_f], with instruments Z = past inputs (PI, consistent for any noise that is
-uncorrelated with the input, of low power at small N) or past inputs and outputs (PO, for process noise too):
+From the LQ factorisation of [U_f; Z; Y_f], with instruments Z = past inputs (PI, consistent for any noise
+that is uncorrelated with the input, of low power at small N) or past inputs and outputs (PO, for process
+noise too):
 
     U_f = R11 Q1,   Z = R21 Q1 + R22 Q2,   Y_f = R31 Q1 + R32 Q2 + R33 Q3,
 
-the column space of R32 is that of the extended observability matrix; A and C follow from its shift structure, and
-B, D and the initial states from linear regression on all samples.
+the column space of R32 is that of the extended observability matrix; A and C follow from its shift structure,
+and B, D and the initial states from linear regression on all samples.
 """
 
 from __future__ import annotations
@@ -53,11 +55,16 @@ class SubspaceModel:
 
     @property
     def gap(self) -> float:
-        """Ratio of the last kept to the first dropped singular value; near 1 the data do not support the order."""
+        """Ratio of the last kept to the first dropped singular value.
+
+        Near 1 the data do not support the order.
+        """
         return float(self.singular_values[self.order - 1] / self.singular_values[self.order])
 
 
-def pi_moesp(data, order: int | None = None, *, dt: float, block_rows: int = 20, feedthrough: bool = True) -> SubspaceModel:
+def pi_moesp(
+    data, order: int | None = None, *, dt: float, block_rows: int = 20, feedthrough: bool = True
+) -> SubspaceModel:
     """PI-MOESP: past inputs as instruments.
 
     Parameters
@@ -69,20 +76,23 @@ def pi_moesp(data, order: int | None = None, *, dt: float, block_rows: int = 20,
     dt : float
         Sampling time, seconds.
     block_rows : int
-        Block rows of the future and of the past, more than the order. Few rows lose slow modes: 20 is the default
-        because 10 gave errors above 100 % at one point of the flexible arm.
+        Block rows of the future and of the past, more than the order. Few rows lose slow modes: 20 is the
+        default because 10 gave errors above 100 % at one point of the flexible arm.
     feedthrough : bool
         False fixes D = 0.
 
     Raises
     ------
     InputError
-        NaN, shapes, too few samples, an order the block rows cannot carry, or an input that does not excite enough.
+        NaN, shapes, too few samples, an order the block rows cannot carry, or an input that does not excite
+        enough.
     """
     return _moesp(data, order, dt, block_rows, feedthrough, past_outputs=False)
 
 
-def po_moesp(data, order: int | None = None, *, dt: float, block_rows: int = 20, feedthrough: bool = True) -> SubspaceModel:
+def po_moesp(
+    data, order: int | None = None, *, dt: float, block_rows: int = 20, feedthrough: bool = True
+) -> SubspaceModel:
     """PO-MOESP: past inputs and outputs as instruments; arguments as in `pi_moesp`."""
     return _moesp(data, order, dt, block_rows, feedthrough, past_outputs=True)
 
@@ -120,7 +130,7 @@ def _moesp(data, order, dt, s, feedthrough, past_outputs) -> SubspaceModel:
 
 
 def _check(data, order, dt, s) -> list[tuple[np.ndarray, np.ndarray]]:
-    if isinstance(data, tuple) and len(data) == 2 and np.ndim(data[0]) in (1, 2) and not isinstance(data[0], tuple):
+    if isinstance(data, tuple) and len(data) == 2 and not isinstance(data[0], tuple):
         data = [data]
     if not (np.isscalar(dt) and dt > 0):
         raise InputError(f"dt = {dt}; expected a positive sampling time in seconds")
@@ -129,9 +139,13 @@ def _check(data, order, dt, s) -> list[tuple[np.ndarray, np.ndarray]]:
         u, y = (np.asarray(x, dtype=float) for x in pair)
         u, y = u.reshape(len(u), -1), y.reshape(len(y), -1)
         if len(u) != len(y):
-            raise InputError(f"experiment {i}: {len(u)} input samples and {len(y)} output samples; they must agree")
+            raise InputError(
+                f"experiment {i}: {len(u)} input samples and {len(y)} output samples; they must agree"
+            )
         if not (np.isfinite(u).all() and np.isfinite(y).all()):
-            raise InputError(f"experiment {i} contains NaN or infinite samples; cut or interpolate them first")
+            raise InputError(
+                f"experiment {i} contains NaN or infinite samples; cut or interpolate them first"
+            )
         if len(u) < 2 * s + 1:
             raise InputError(f"experiment {i} has {len(u)} samples; {s} block rows need more than {2 * s}")
         experiments.append((u, y))
@@ -141,13 +155,17 @@ def _check(data, order, dt, s) -> list[tuple[np.ndarray, np.ndarray]]:
         raise InputError("the experiments differ in their number of inputs or outputs")
     ny = experiments[0][1].shape[1]
     if s < 2 or (order is not None and not 1 <= order < (s - 1) * ny):
-        raise InputError(f"order = {order} with block_rows = {s}: expected 1 <= order < {(s - 1) * ny} and block_rows >= 2")
+        raise InputError(
+            f"order = {order} with block_rows = {s}: expected 1 <= order < {(s - 1) * ny} and block_rows >= 2"
+        )
     return experiments
 
 
 def _hankel(signal: np.ndarray, first: int, rows: int, columns: int) -> np.ndarray:
     """Block Hankel matrix, shape (rows * channels, columns), starting at sample ``first``."""
-    windows = np.lib.stride_tricks.sliding_window_view(signal[first : first + rows + columns - 1], rows, axis=0)
+    windows = np.lib.stride_tricks.sliding_window_view(
+        signal[first : first + rows + columns - 1], rows, axis=0
+    )
     return np.moveaxis(windows, -1, 1).reshape(columns, -1).T
 
 
@@ -161,7 +179,10 @@ def _hankel_blocks(u: np.ndarray, y: np.ndarray, s: int, past_outputs: bool) -> 
 
 
 def _regress(A, C, experiments, feedthrough):
-    """B, D and the initial states: y(k) = C A^k x0 + sum_ij B_ij (response to e_i u_j) + D u(k) is linear in them."""
+    """B, D and the initial states:
+
+    Y(k) = C A^k x0 + sum_ij B_ij (response to e_i u_j) + D u(k) is linear in them.
+    """
     n, ny, nu = A.shape[0], C.shape[0], experiments[0][0].shape[1]
     free = n * nu + (ny * nu if feedthrough else 0)
     total = sum(len(u) for u, _ in experiments)
@@ -173,12 +194,16 @@ def _regress(A, C, experiments, feedthrough):
         states, free_motion = _unit_responses(np.ascontiguousarray(A), np.ascontiguousarray(u))
         regressors[rows, :, : n * nu] = np.einsum("yn,knc->kyc", C, states)
         if feedthrough:
-            regressors[rows, :, n * nu : free] = np.einsum("yz,kj->kyzj", np.eye(ny), u).reshape(len(u), ny, -1)
+            regressors[rows, :, n * nu : free] = np.einsum(
+                "yz,kj->kyzj", np.eye(ny), u
+            ).reshape(len(u), ny, -1)
         regressors[rows, :, free + e * n : free + (e + 1) * n] = C @ free_motion
         start += len(u)
     flat = regressors.reshape(total * ny, -1)
     if not np.isfinite(flat).all():
-        raise InputError("the identified model is so unstable that its responses overflow; change order or block_rows")
+        raise InputError(
+            "the identified model is so unstable that its responses overflow; change order or block_rows"
+        )
     solution = np.linalg.lstsq(flat, target.ravel(), rcond=None)[0]
     B = solution[: n * nu].reshape(n, nu)
     D = solution[n * nu : free].reshape(ny, nu) if feedthrough else np.zeros((ny, nu))

@@ -1,10 +1,12 @@
-"""Planar two-link flexible arm with inner joint-velocity loops (Vizer, Mercère, Prot & Laroche 2014, section 3).
+"""Planar two-link flexible arm with inner joint-velocity loops (Vizer, Mercère, Prot & Laroche 2014, section
+3).
 
-The paper's parameters are in an unpublished report; `FlexibleArmParameters` holds a set of the same kind (a light
-0.35 m + 0.35 m arm whose flexible modes limit the bandwidth). Inputs are joint velocity references, outputs the joint
-velocities of the rigid arm of the same geometry. `vizer2014_flexible_arm` simulates the nonlinear arm,
-`vizer2014_flexible_arm_linear` is its exact linearisation (31), corrected, and `vizer2014_flexible_arm_model` the LPV
-model frozen in kappa = cos(theta2), with or without the Coriolis and centrifugal torque that freezing leaves out.
+The paper's parameters are in an unpublished report; `FlexibleArmParameters` holds a set of the same kind (a
+light 0.35 m + 0.35 m arm whose flexible modes limit the bandwidth). Inputs are joint velocity references,
+outputs the joint velocities of the rigid arm of the same geometry. `vizer2014_flexible_arm` simulates the
+nonlinear arm, `vizer2014_flexible_arm_linear` is its exact linearisation (31), corrected, and
+`vizer2014_flexible_arm_model` the LPV model frozen in kappa = cos(theta2), with or without the Coriolis and
+centrifugal torque that freezing leaves out.
 """
 
 from __future__ import annotations
@@ -73,7 +75,9 @@ class FlexibleArmParameters:
     def __post_init__(self):
         for name, value in self.__dict__.items():
             if not (np.isfinite(value) and (value > 0 or (value == 0 and name[0] in "mj"))):
-                raise InputError(f"flexible arm: {name} = {value}; expected a finite positive number in SI units")
+                raise InputError(
+                    f"flexible arm: {name} = {value}; expected a finite positive number in SI units"
+                )
 
     @property
     def packed(self) -> np.ndarray:
@@ -139,13 +143,14 @@ def vizer2014_flexible_arm(
     references : array, shape (N, 2)
         Joint velocity references, rad/s, held over each step.
     dt : float
-        Step, seconds. Runge-Kutta 4 with ``substeps`` steps inside; 1e-4 s and one substep suit the default arm.
+        Step, seconds. Runge-Kutta 4 with ``substeps`` steps inside; 1e-4 s and one substep suit the default
+        arm.
     theta2 : float
         Initial elbow angle, rad.
     parameters : FlexibleArmParameters, optional
     outputs : "inverse_kinematics" or "linear"
-        "inverse_kinematics": joint velocities of the rigid arm with the same tip motion, as measured in the paper.
-        "linear": y = C1 dq with the matrix of (31c). Both agree to first order in the deformation.
+        "inverse_kinematics": joint velocities of the rigid arm with the same tip motion, as measured in the
+        paper. "linear": y = C1 dq with the matrix of (31c). Both agree to first order in the deformation.
 
     Raises
     ------
@@ -155,11 +160,15 @@ def vizer2014_flexible_arm(
     p = FlexibleArmParameters() if parameters is None else parameters
     references = np.ascontiguousarray(references, dtype=float)
     if references.ndim != 2 or references.shape[1] != 2 or len(references) < 2:
-        raise InputError(f"references have shape {references.shape}; expected (N, 2) joint velocities in rad/s, N >= 2")
+        raise InputError(
+            f"references have shape {references.shape}; expected (N, 2) joint velocities in rad/s, N >= 2"
+        )
     if not np.isfinite(references).all() or not np.isfinite(theta2):
         raise InputError("references or theta2 contain NaN or infinite values")
     if not dt > 0 or substeps < 1:
-        raise InputError(f"dt = {dt}, substeps = {substeps}; expected a positive step in seconds and at least one substep")
+        raise InputError(
+            f"dt = {dt}, substeps = {substeps}; expected a positive step in seconds and at least one substep"
+        )
     start = np.array([0.0, float(theta2), 0.0, 0.0])
     q, dq = integrate(references, float(dt), int(substeps), start, np.zeros(4), p.packed)
     if not np.isfinite(q).all():
@@ -178,7 +187,9 @@ def output_matrix(p: FlexibleArmParameters) -> np.ndarray:
     return np.array([[1.0, 0.0, p.l1, 0.0], [0.0, 1.0, p.l1, p.l2]])
 
 
-def prbs(samples: int, *, hold: int = 1, channels: int = 2, amplitude: float = 1.0, register: int = 11, rng=None) -> np.ndarray:
+def prbs(
+    samples: int, *, hold: int = 1, channels: int = 2, amplitude: float = 1.0, register: int = 11, rng=None
+) -> np.ndarray:
     """Pseudo-random binary sequences (maximum length, 2^register - 1 clocks), shape (samples, channels).
 
     Channels are the same sequence at random, well-separated phases. ``hold``: samples per clock.
@@ -227,7 +238,10 @@ def vizer2014_flexible_arm_experiment(
     """
     hold = round(clock / dt)
     if hold % decimation:
-        raise InputError(f"clock = {clock} s is no multiple of the decimated step {dt * decimation} s: the input is not held")
+        raise InputError(
+            f"clock = {clock} s is no multiple of the decimated step {dt * decimation} s: the input is not "
+            "held"
+        )
     references = prbs(samples, hold=hold, amplitude=amplitude, rng=rng)
     run = vizer2014_flexible_arm(references, dt, theta2, parameters=parameters, outputs=outputs)
     return run.decimate(decimation)
@@ -246,7 +260,8 @@ def vizer2014_flexible_arm_sweep(
     parameters: FlexibleArmParameters | None = None,
     outputs: str = "inverse_kinematics",
 ) -> ArmRecording:
-    """A sweep of theta2 over the whole range (section 3.3.3): a half-sine velocity reference on joint 2 plus PRBS on both.
+    """A sweep of theta2 over the whole range (section 3.3.3): a half-sine velocity reference on joint 2 plus
+    PRBS on both.
 
     Parameters
     ----------
@@ -282,28 +297,40 @@ def vizer2014_flexible_arm_lpv(parameters: FlexibleArmParameters | None = None) 
     )
 
 
-def vizer2014_flexible_arm_linear(theta2: float, parameters: FlexibleArmParameters | None = None) -> control.StateSpace:
-    """The linearisation at a fixed elbow angle, order 6, states (v1, v2, dtheta1, dtheta2, dv1, dv2): the "analytic" model."""
+def vizer2014_flexible_arm_linear(
+    theta2: float, parameters: FlexibleArmParameters | None = None
+) -> control.StateSpace:
+    """The linearisation at a fixed elbow angle, order 6, states (v1, v2, dtheta1, dtheta2, dv1, dv2):
+
+    The "analytic" model.
+    """
     return vizer2014_flexible_arm_lpv(parameters).frozen(np.cos(theta2))
 
 
 def vizer2014_flexible_arm_structure(parameters: FlexibleArmParameters | None = None):
-    """The structure (32) with 16 free parameters th1..th16 (rows 3-6, columns 1-4 of A, column by column) and known C."""
+    """The structure (32) with 16 free parameters th1..th16 (rows 3-6, columns 1-4 of A, column by column) and
+    known C.
+    """
     return vizer2014_flexible_arm_lpv(parameters).pattern()
 
 
 def vizer2014_flexible_arm_model(
-    parameters: FlexibleArmParameters | None = None, *, coriolis: bool = False, scheduling: str = "state", theta2: float = np.pi / 8
+    parameters: FlexibleArmParameters | None = None,
+    *,
+    coriolis: bool = False,
+    scheduling: str = "state",
+    theta2: float = np.pi / 8,
 ) -> control.NonlinearIOSystem:
-    """The LPV model frozen in theta2 as `control.nlsys`, and with ``coriolis=True`` the model with the missing torque.
+    """The LPV model frozen in theta2 as `control.nlsys`, and with ``coriolis=True`` the model with the
+    missing torque.
 
     Parameters
     ----------
     coriolis : bool
         Add the velocity forces of M0 + cos(theta2) M1.
     scheduling : "state" or "input"
-        "state": theta2 is the seventh state, integrated from dtheta2 (its initial value is ``theta2`` below, to be
-        passed in the initial state). "input": theta2 is a third, measured input.
+        "state": theta2 is the seventh state, integrated from dtheta2 (its initial value is ``theta2`` below,
+        to be passed in the initial state). "input": theta2 is a third, measured input.
     theta2 : float
         Nominal initial elbow angle, rad; kept in ``params["theta2_start"]`` for the caller.
     """

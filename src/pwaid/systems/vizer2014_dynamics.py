@@ -1,14 +1,17 @@
-"""Equations of motion of a planar arm with two flexible links, compiled: mass matrix, velocity forces, outputs.
+"""Equations of motion of a planar arm with two flexible links, compiled: mass matrix, velocity forces,
+outputs.
 
-Vizer, Mercère, Prot & Laroche (2014), section 3.2: each link bends in one assumed shape, delta_k(x, t) = x² v_k(t),
-with the foreshortening (2/3) x³ v_k² (the printed (28) has v³, a misprint). With complex numbers for the plane,
+Vizer, Mercère, Prot & Laroche (2014), section 3.2: each link bends in one assumed shape, delta_k(x, t) = x²
+v_k(t), with the foreshortening (2/3) x³ v_k² (the printed (28) has v³, a misprint). With complex numbers for
+the plane,
 
     p(x) = e^{i theta1} (a + e^{i phi} b(x)),   a = l1 - (2/3) l1³ v1² + i l1² v1,
     b(x) = x - (2/3) x³ v2² + i x² v2,          phi = theta2 + 2 l1 v1,
 
-and every mass point contributes Re(J* J) to the mass matrix and Re(J* a_v) to the velocity forces, where J holds the
-partial derivatives of p and a_v is the part of its acceleration that is quadratic in the velocities (Coriolis and
-centrifugal). The integrals over the links are polynomials of degree six in x, so four Gauss points are exact.
+and every mass point contributes Re(J* J) to the mass matrix and Re(J* a_v) to the velocity forces, where J
+holds the partial derivatives of p and a_v is the part of its acceleration that is quadratic in the velocities
+(Coriolis and centrifugal). The integrals over the links are polynomials of degree six in x, so four Gauss
+points are exact.
 
 Coordinates: q = (theta1, theta2, v1, v2). The packed parameter vector ``p`` holds
 (l1, l2, rho1, rho2, m_elbow, J_elbow, m_tip, J_tip, Jr1, Jr2, EI1, EI2, gain1, gain2).
@@ -122,7 +125,8 @@ def integrate(references, dt, substeps, q0, dq0, p):
 def joint_rates(q: np.ndarray, dq: np.ndarray, lengths: tuple[float, float]) -> np.ndarray:
     """Joint velocities (N, 2) of the rigid arm with the same tip position and velocity (inverse kinematics).
 
-    The elbow bends towards the side of ``theta2``; at theta2 = 0 or pi the rigid arm is singular and the rates diverge.
+    The elbow bends towards the side of ``theta2``; at theta2 = 0 or pi the rigid arm is singular and the
+    rates diverge.
     """
     l1, l2 = lengths
     v1, v2 = q[:, 2], q[:, 3]
@@ -133,7 +137,9 @@ def joint_rates(q: np.ndarray, dq: np.ndarray, lengths: tuple[float, float]) -> 
     b = turn * (l2 - 2 / 3 * l2**3 * v2**2 + 1j * l2**2 * v2)
     db = turn * (-4 / 3 * l2**3 * v2 + 1j * l2**2)
     tip = a + b
-    rate = 1j * dq[:, 0] * a + da * dq[:, 2] + 1j * (dq[:, 0] + dq[:, 1] + 2 * l1 * dq[:, 2]) * b + db * dq[:, 3]
+    rate = 1j * dq[:, 0] * a + da * dq[:, 2] + 1j * (
+        dq[:, 0] + dq[:, 1] + 2 * l1 * dq[:, 2]
+    ) * b + db * dq[:, 3]
     # Angles measured in the frame of joint 1 (it only adds dtheta1, already in ``rate``).
     cos_beta = np.clip((np.abs(tip) ** 2 - l1**2 - l2**2) / (2 * l1 * l2), -1.0, 1.0)
     beta = np.copysign(np.arccos(cos_beta), np.sin(q[:, 1]))
@@ -143,5 +149,8 @@ def joint_rates(q: np.ndarray, dq: np.ndarray, lengths: tuple[float, float]) -> 
     c1 = e1 + e12
     det = c1.real * e12.imag - c1.imag * e12.real
     return np.column_stack(
-        [(rate.real * e12.imag - rate.imag * e12.real) / det, (c1.real * rate.imag - c1.imag * rate.real) / det]
+        [
+            (rate.real * e12.imag - rate.imag * e12.real) / det,
+            (c1.real * rate.imag - c1.imag * rate.real) / det,
+        ]
     )
