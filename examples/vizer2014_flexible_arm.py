@@ -76,9 +76,7 @@ def distance(g, h) -> float:
 def table(title: str, rows: dict[str, list], digits: int = 2) -> None:
     print(f"\n{title}")
     for name, values in rows.items():
-        print(
-            f"  {name:<34s}" + " ".join(f"{v:>10.{digits}f}" if v is not None else f"{'-':>10s}" for v in values)
-        )
+        print(f"  {name:<34s}" + " ".join(f"{v:>10.{digits}f}" for v in values))
 
 
 def identify(recording, outputs, order: int = 6):

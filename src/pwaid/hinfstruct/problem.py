@@ -223,6 +223,8 @@ def response_and_slope(
     response = frequency_response(m, omega)
     slope = np.broadcast_to(dD, (omega.size, *dD.shape)).astype(complex)
     finite = np.isfinite(omega)
+    if not finite.any():
+        return response, slope
     X, Y = resolvent_parts(m, omega[finite])
     k, n, nu = X.shape
     ny = Y.shape[1]
