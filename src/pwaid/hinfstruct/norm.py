@@ -110,21 +110,28 @@ def hinf_norm(system, *, tol: float = 1e-10, fraction: float = 0.99, max_iterati
     else:
         continuous, back = m, lambda w: w
     scaled, unit = _scale(continuous)
-    fraction_inside = min(fraction, 1 - 1e-9)
-    start_grid = np.concatenate([_pole_grid(scaled), [0.1234, 0.7654, 1.618]])
-    start = float(np.max(gains_at(scaled, start_grid[np.argsort(-_scan(scaled, start_grid))[:3]])))
-    value, upper, count = _two_step(scaled, start, tol, max_iterations)
-    if value <= 0.0:
-        return HinfNorm(0.0, 0.0, np.zeros(1), np.zeros(1), fraction, count)
+    gain = _Gain(scaled) if scaled.order else None
+    value = _start(scaled, gain)
+    if gain is None or value <= gain.floor:  # a constant, or zero up to rounding (an exact difference)
+        upper = value + (gain.floor if gain else 0.0)
+        return HinfNorm(value, upper, np.zeros(1), np.array([value]), fraction, 0)
+    count = 0
     for _ in range(5):
-        peaks, gains = _peaks(scaled, value, fraction_inside)
-        if gains[0] <= upper:
-            return HinfNorm(float(gains[0]), float(upper), back(peaks * unit), gains, fraction, count)
-        value, upper, more = _two_step(scaled, float(gains[0]), tol, max_iterations)
+        value, upper, more = _two_step(gain, value, tol, max_iterations)
         count += more
-    raise SolverError(
-        f"the gain {gains[0]:.12g} keeps exceeding the certified level {upper:.12g}; loosen tol"
-    )
+        peaks, gains = _peaks(gain, value, min(fraction, 1 - 1e-9))
+        value = float(gains[0])
+        if value <= upper:
+            return HinfNorm(value, float(upper), back(peaks * unit), gains, fraction, count)
+    raise SolverError(f"the gain {value:.12g} keeps exceeding the certified level {upper:.12g}; loosen tol")
+
+
+def _start(m: Matrices, gain: _Gain | None) -> float:
+    """A lower bound of the norm: the largest gain at 0, at infinity and around the poles."""
+    grid = np.concatenate([_pole_grid(m), [0.1234, 0.7654, 1.618]])
+    if gain is not None:
+        grid = grid[np.argsort(-gain(grid, np.inf, 1.0))[:5]]
+    return float(np.max(gains_at(m, grid)))
 
 
 def _bilinear(m: Matrices) -> Matrices:
@@ -179,18 +186,33 @@ def _largest_singular(response: np.ndarray) -> np.ndarray:
     return np.sqrt(0.5 * (squares[:, 0] + squares[:, 1]) + np.hypot(half, cross))
 
 
-def _scan(m: Matrices, omega: np.ndarray) -> np.ndarray:
-    """The gains on a long grid, from the partial fractions when the eigenvectors allow it (about 1e-9
-    relative).
+class _Gain:
+    """sigma_max(G(j omega)) on long grids: by partial fractions where they are accurate enough, else by solving.
+
+    ``noise`` estimates the rounding error of the partial fractions, absolute; ``floor`` that of any evaluation.
     """
-    values, vectors = np.linalg.eig(m.A)
-    if np.linalg.cond(vectors) > 1e6:
-        return gains_at(m, omega)
-    residues = np.einsum("yi,iu->iyu", m.C @ vectors, np.linalg.solve(vectors, m.B.astype(complex)))
-    finite = np.isfinite(omega)
-    weights = np.zeros((omega.size, m.order), dtype=complex)
-    weights[finite] = 1 / (1j * omega[finite, None] - values)
-    return _largest_singular(m.D + np.tensordot(weights, residues, 1))
+
+    def __init__(self, m: Matrices):
+        self.m = m
+        self.poles, vectors = np.linalg.eig(m.A)
+        condition = np.linalg.cond(vectors)
+        if not condition < 1e12:
+            self.noise, self.floor = np.inf, 0.0
+            return
+        left = np.linalg.solve(vectors, m.B.astype(complex))
+        self.residues = np.einsum("yi,iu->iyu", m.C @ vectors, left)
+        size = np.linalg.norm(self.residues, axis=(1, 2)) / np.maximum(np.abs(self.poles.real), 1e-300)
+        self.noise = 4 * _EPS * condition * float(size.max())
+        self.floor = 1e2 * _EPS * float(size.max() + np.abs(m.D).max(initial=0.0))
+
+    def __call__(self, omega: np.ndarray, value: float, accuracy: float) -> np.ndarray:
+        """Gains, accurate to about ``accuracy * value``."""
+        if self.noise > accuracy * value:
+            return gains_at(self.m, omega)
+        weights = np.zeros((omega.size, self.m.order), dtype=complex)
+        finite = np.isfinite(omega)
+        weights[finite] = 1 / (1j * omega[finite, None] - self.poles)
+        return _largest_singular(self.m.D + np.tensordot(weights, self.residues, 1))
 
 
 def _crossings(m: Matrices, gamma: float) -> np.ndarray:
@@ -227,30 +249,25 @@ def _middle(low: float, high: float) -> float:
     return 0.5 * (low + high)
 
 
-def _highest(m: Matrices, omega: np.ndarray) -> tuple[float, float]:
-    """Largest gain over some frequencies, and where."""
-    gains = gains_at(m, omega)
-    best = int(np.argmax(gains))
-    return float(gains[best]), float(omega[best])
-
-
-def _two_step(m: Matrices, value: float, tol: float, max_iterations: int) -> tuple[float, float, int]:
+def _two_step(gain: _Gain, value: float, tol: float, max_iterations: int) -> tuple[float, float, int]:
     """Raise a lower bound until no singular value reaches value (1 + 2 tol).
 
-    Returns (value, that level, iterations).
+    Returns the bound, that level, and the iterations.
     """
-    if value <= 1e-300 or not m.order:
-        return value if value > 1e-300 else 0.0, value, 0
     for count in range(1, max_iterations + 1):
         level = value * (1 + 2 * tol)
-        candidates = _crossings(m, level)
+        candidates = _crossings(gain.m, level)
         if not candidates.size:
             return value, level, count
         points = np.unique([*candidates, *(_middle(a, b) for a, b in _bands(candidates))])
-        best, _ = _highest(m, points)
-        # the candidates lie near the axis, not on it, unless the gain climbs next to one of them
-        if best < level:
-            best = max(best, _climb(m, candidates))
+        # The best few, evaluated exactly: the lower bound must be a true gain.
+        rough = gain(points, value, 1e-9)
+        best = float(np.max(gains_at(gain.m, points[np.argsort(-rough)[:3]])))
+        if best < level:  # the candidates lie near the axis, not on it, unless the gain climbs next to them
+            near = candidates[gain(candidates, value, 1e-9) > 0.5 * value]
+            if near.size:
+                _, climbed = _refine(gain, near, near * 1e-3 + 1e-9, value)
+                best = max(best, float(np.max(climbed)))
         if best < level:
             return max(value, best), level, count
         value = best
@@ -259,64 +276,60 @@ def _two_step(m: Matrices, value: float, tol: float, max_iterations: int) -> tup
     )
 
 
-def _climb(m: Matrices, points: np.ndarray) -> float:
-    """Highest gain reached by refining around each suspicious frequency."""
-    _, gains = _refine(m, points, np.maximum(points, _EPS) * 1e-3 + 1e-9)
-    return float(np.max(gains))
-
-
-def _refine(m: Matrices, centres: np.ndarray, widths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Local maximum of the gain near each centre:
-
-    Sample, move to the vertex of the best parabola, shrink; all at once.
-    """
+def _refine(gain: _Gain, centres: np.ndarray, widths: np.ndarray, value: float) -> tuple[np.ndarray, np.ndarray]:
+    """Local maximum of the gain near each centre: sample, move to the vertex of the best parabola, shrink."""
     pattern = np.linspace(-1.0, 1.0, 9)
-    centres, widths = centres.astype(float).copy(), widths.astype(float).copy()
-    best_w, best_g = centres.copy(), gains_at(m, centres)
+    best_w, widths = centres.astype(float).copy(), widths.astype(float).copy()
+    centres, best_g = best_w.copy(), gain(best_w, value, 1e-12)
     rows = np.arange(len(centres))
     for _ in range(30):
         trial = np.abs(centres[:, None] + widths[:, None] * pattern)
-        values = gains_at(m, trial.ravel()).reshape(trial.shape)
+        values = gain(trial.ravel(), value, 1e-12).reshape(trial.shape)
         k = np.argmax(values, axis=1)
-        top = values[rows, k]
-        gained = top - best_g
-        better = gained > 0
-        best_w[better], best_g[better] = trial[rows, k][better], top[better]
+        better = values[rows, k] > best_g
+        gained = values[rows, k] - best_g
+        best_w[better], best_g[better] = trial[rows, k][better], values[rows, k][better]
         inside = (k > 0) & (k < pattern.size - 1)
         kk = np.clip(k, 1, pattern.size - 2)
         before, after = values[rows, kk - 1], values[rows, kk + 1]
         bend = np.minimum(before - 2 * values[rows, kk] + after, -1e-300)
         shift = np.where(inside, np.clip(0.5 * (before - after) / bend, -1, 1), 0.0)
-        centres = np.abs(best_w + np.where(better, shift * widths * 0.25, 0.0))
-        widths = widths * np.where(inside, 0.12, np.where(better, 1.0, 0.3))
-        flat = inside & (gained <= 1e-14 * best_g) & (widths < 1e-3 * centres)
+        centres = np.abs(np.where(inside, trial[rows, k] + shift * widths * 0.25, best_w))
+        flat = inside & (gained <= 1e-13 * best_g)
         if np.all(flat | (widths <= 1e-9 * (centres + 1e-12))):
             break
-    return best_w, best_g
+        widths = widths * np.where(inside, 0.12, np.where(better, 1.0, 0.3))
+    vertex = gains_at(gain.m, centres)  # the vertex is the better frequency where the gain is flat
+    exact = gains_at(gain.m, best_w)
+    take = vertex >= exact * (1 - 1e-13)
+    return np.where(take, centres, best_w), np.where(take, vertex, exact)
 
 
-def _peaks(m: Matrices, value: float, fraction: float) -> tuple[np.ndarray, np.ndarray]:
+def _peaks(gain: _Gain, value: float, fraction: float) -> tuple[np.ndarray, np.ndarray]:
     """All local maxima with gain >= fraction * value, highest first."""
-    if not m.order or value == 0.0:
-        return np.array([0.0]), np.array([value])
+    m = gain.m
     grid = _grid(m, value * fraction)
-    gains = _scan(m, grid)
-    if gains.min() >= (1 - 1e-12) * value:  # all-pass: every frequency is active, two stand for all
-        return np.array([0.0, np.inf]), gains[[0, -1]]
+    gains = gain(grid, value, 1e-6)
+    if gains.min() >= (1 - 1e-6) * value and gains_at(m, grid).min() >= (1 - 1e-12) * value:
+        return np.array([0.0, np.inf]), np.full(2, value)  # all-pass: every frequency is active, two stand for all
     left, right = np.concatenate([[-np.inf], gains[:-1]]), np.concatenate([gains[1:], [-np.inf]])
     spots = np.flatnonzero((gains >= left) & (gains >= right) & (gains >= 0.98 * fraction * value))
-    inner = spots[(spots > 0) & (spots < grid.size - 1)]
-    found_w, found_g = grid[np.isin(np.arange(grid.size), spots) & ((grid == 0) | np.isinf(grid))], None
-    found_g = gains_at(m, found_w) if found_w.size else np.zeros(0)
+    edge = (grid[spots] == 0) | np.isinf(grid[spots])
+    found_w, found_g = grid[spots[edge]], gains_at(m, grid[spots[edge]])
+    inner = spots[~edge]
     if inner.size:
-        before, after = grid[inner - 1], np.where(np.isinf(grid[inner + 1]), 2 * grid[inner], grid[inner + 1])
-        w, g = _refine(m, grid[inner], np.maximum(grid[inner] - before, after - grid[inner]))
+        before = grid[inner - 1]
+        after = np.where(np.isinf(grid[inner + 1]), 2 * grid[inner], grid[inner + 1])
+        w, g = _refine(gain, grid[inner], np.maximum(grid[inner] - before, after - grid[inner]), value)
         found_w, found_g = np.concatenate([found_w, w]), np.concatenate([found_g, g])
+    if not found_g.size or found_g.max() < fraction * value:
+        best = int(np.argmax(gains_at(m, grid)))
+        found_w, found_g = grid[best : best + 1], gains_at(m, grid[best : best + 1])
+        value = min(value, float(found_g[0]))
     keep = found_g >= fraction * value
     found_w, found_g = found_w[keep], found_g[keep]
-    order = np.argsort(-found_g, kind="stable")
     chosen: list[int] = []
-    for k in order:
+    for k in np.argsort(-found_g, kind="stable"):
         if all(not _same(found_w[k], found_w[j]) for j in chosen):
             chosen.append(int(k))
     return found_w[chosen], found_g[chosen]
