@@ -68,7 +68,9 @@ def rivals(quick: bool) -> dict:
         "pwaid (d = 4)": pwaid.PWARegressor(200 if quick else 800, cv=3, n_lambdas=8, random_state=0),
         "gradient boosting": HistGradientBoostingRegressor(random_state=0),
         "random forest": RandomForestRegressor(100, random_state=0),
-        "network 64-64": make_pipeline(StandardScaler(), MLPRegressor((64, 64), early_stopping=True, random_state=0)),
+        "network 64-64": make_pipeline(
+            StandardScaler(), MLPRegressor(hidden_layer_sizes=(64, 64), early_stopping=True, random_state=0)
+        ),
     }
     rows = {}
     for name, model in models.items():
