@@ -1,1 +1,1 @@
-"""H-infinity norms, subspace models, structured models, restructuring and LPV interpolation (Vizer et al. 2014)."""
+"""H-infinity norms, subspace models, restructuring and LPV interpolation (Vizer et al. 2014)."""

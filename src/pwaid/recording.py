@@ -1,0 +1,433 @@
+"""Recordings: uniformly sampled inputs and outputs with names and units.
+
+A `Recording` is data only: time along the first axis, read-only arrays, checked once when it is made.
+Tables without a time column (a static map's samples) are read by `read_table`.
+"""
+
+from __future__ import annotations
+
+import csv
+import re
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pwaid.errors import InputError
+
+__all__ = ["Recording", "check_finite", "check_samples", "read_table"]
+
+# A sample may lie this far from the uniform grid, as a fraction of the sample time, before it counts as wrong.
+# 5 % is far above the rounding of printed times and far below a lost sample (100 %).
+TIME_TOLERANCE = 0.05
+
+_HEADER = re.compile(r"^\s*(?P<name>.*?)\s*(?:[\[(](?P<unit>[^\])]*)[\])])?\s*$")
+
+
+def check_finite(array: np.ndarray, name: str) -> None:
+    """Raise `InputError` naming the first NaN or infinite entry of `array`."""
+    bad = ~np.isfinite(array)
+    if bad.any():
+        where = tuple(int(i) for i in np.argwhere(bad)[0])
+        raise InputError(
+            f"{name} has {int(bad.sum())} entries that are NaN or infinite, the first at index {where}; "
+            "expected finite numbers: drop or fill these samples first"
+        )
+
+
+def check_samples(X: Any, y: Any, *, dimension: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """Samples of a map as float arrays X (N, d) and y (N,), or one clear `InputError`.
+
+    Parameters
+    ----------
+    X : array_like, shape (N, d) or (N,)
+        Inputs, one sample a row; a vector is taken as d = 1.
+    y : array_like, shape (N,) or (N, 1)
+        Outputs.
+    dimension : int, optional
+        The d that is expected.
+    """
+    X = _as_float(X, "X")
+    y = _as_float(y, "y")
+    if X.ndim == 1:
+        X = X[:, None]
+    if X.ndim != 2:
+        raise InputError(f"X has shape {X.shape}; expected (N, d): one sample a row")
+    if y.ndim == 2 and y.shape[1] == 1:
+        y = y[:, 0]
+    if y.ndim != 1:
+        raise InputError(f"y has shape {y.shape}; expected (N,): fit one output at a time")
+    if X.shape[0] != y.shape[0]:
+        if X.shape[1] == y.shape[0]:
+            raise InputError(f"X has shape {X.shape} for {y.shape[0]} outputs: it looks transposed; pass X.T")
+        raise InputError(f"X has {X.shape[0]} samples and y has {y.shape[0]}; expected the same number")
+    if dimension is not None and X.shape[1] != dimension:
+        raise InputError(f"X has {X.shape[1]} columns; expected {dimension}, the dimension of the mesh")
+    check_finite(X, "X")
+    check_finite(y, "y")
+    if X.shape[0] < X.shape[1] + 2:
+        raise InputError(
+            f"{X.shape[0]} samples came; an affine map of {X.shape[1]} inputs and a hinge need at least "
+            f"{X.shape[1] + 2}: record more samples"
+        )
+    return X, y
+
+
+def _as_float(array: Any, name: str) -> np.ndarray:
+    try:
+        return np.asarray(array, dtype=float)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"{name} cannot be read as numbers ({error}); expected a numeric array") from error
+
+
+def _columns(array: Any, name: str, n_samples: int) -> np.ndarray:
+    """A channel block as a read-only (N, k) array; a vector is one channel."""
+    array = _as_float(array, name)
+    if array.size == 0 and array.ndim < 2:
+        array = np.zeros((n_samples, 0))
+    if array.ndim == 1:
+        array = array[:, None]
+    if array.ndim != 2:
+        raise InputError(f"{name} has shape {array.shape}; expected (N, channels): time along the first axis")
+    if array.shape[0] != n_samples:
+        hint = "; it looks transposed: pass its .T" if array.shape[1] == n_samples else ""
+        raise InputError(f"{name} has {array.shape[0]} rows for {n_samples} time stamps; expected one a time{hint}")
+    check_finite(array, name)
+    array = array.copy()
+    array.setflags(write=False)
+    return array
+
+
+def _sample_time(time: np.ndarray) -> float:
+    """The sample time of a uniform clock, or an `InputError` that says where it is not uniform."""
+    if time.size < 2:
+        raise InputError(f"{time.size} samples came; a recording needs at least 2")
+    check_finite(time, "time")
+    steps = np.diff(time)
+    back = np.flatnonzero(steps <= 0)
+    if back.size:
+        k = int(back[0])
+        raise InputError(
+            f"time goes backwards or stands still at sample {k + 1} ({time[k]:g} s, then {time[k + 1]:g} s); "
+            "expected strictly increasing seconds: sort the rows, or split the file into recordings"
+        )
+    sample_time = float((time[-1] - time[0]) / (time.size - 1))
+    off = np.abs(time - (time[0] + sample_time * np.arange(time.size))) / sample_time
+    worst = int(np.argmax(np.abs(steps - np.median(steps))))
+    if off.max() > TIME_TOLERANCE and abs(steps[worst] / np.median(steps) - 1.0) > 0.01:
+        raise InputError(
+            f"time is not uniformly sampled: the step after sample {worst} ({time[worst]:g} s) is "
+            f"{steps[worst]:g} s, the usual step {np.median(steps):g} s; resample to a uniform clock, "
+            "split at the gap, or pass sample_time= if the stamps are only rounded"
+        )
+    return sample_time
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """One uniformly sampled recording of a machine.
+
+    Parameters
+    ----------
+    time : array_like, shape (N,)
+        Time stamps in seconds, strictly increasing and uniform.
+    inputs : array_like, shape (N, n_inputs) or (N,)
+        What drives the machine.
+    outputs : array_like, shape (N, n_outputs) or (N,)
+        What is measured.
+    input_names, output_names : sequence of str, optional
+        Channel names; ``u0, u1, …`` and ``y0, y1, …`` by default.
+    units : mapping of name to unit, optional
+        E.g. ``{"u": "N m", "theta": "rad"}``; channels without an entry have the unit ``""``.
+    name : str
+        What the recording is called in reports.
+
+    Raises
+    ------
+    InputError
+        Non-finite entries, wrong shapes, repeated names, or a clock that is not uniform.
+    """
+
+    time: np.ndarray
+    inputs: np.ndarray
+    outputs: np.ndarray
+    input_names: tuple[str, ...] | None = None
+    output_names: tuple[str, ...] | None = None
+    units: Mapping[str, str] = field(default_factory=dict)
+    name: str = "recording"
+
+    def __post_init__(self) -> None:
+        time = _as_float(self.time, "time")
+        if time.ndim != 1:
+            raise InputError(f"time has shape {time.shape}; expected a vector of seconds")
+        object.__setattr__(self, "_sample_time", _sample_time(time))
+        time = time.copy()
+        time.setflags(write=False)
+        object.__setattr__(self, "time", time)
+        for block, letter in (("inputs", "u"), ("outputs", "y")):
+            array = _columns(getattr(self, block), block, time.size)
+            object.__setattr__(self, block, array)
+            key = block[:-1] + "_names"
+            names = getattr(self, key)
+            if names is None:
+                names = tuple(f"{letter}{i}" for i in range(array.shape[1]))
+            names = (names,) if isinstance(names, str) else tuple(str(n) for n in names)
+            if len(names) != array.shape[1]:
+                raise InputError(f"{len(names)} {key} came for {array.shape[1]} {block}; expected one a channel")
+            object.__setattr__(self, key, names)
+        every = self.input_names + self.output_names
+        repeated = sorted({n for n in every if every.count(n) > 1})
+        if repeated:
+            raise InputError(f"channel names {repeated} are used twice; expected different names")
+        unknown = sorted(set(self.units) - set(every))
+        if unknown:
+            raise InputError(f"units were given for {unknown}, which are not channels; the channels are {list(every)}")
+        object.__setattr__(self, "units", {n: str(self.units.get(n, "")) for n in every})
+
+    # -- reading ---------------------------------------------------------------------------------------------
+
+    @classmethod
+    def from_csv(
+        cls,
+        path: str | Path,
+        inputs: Sequence[str],
+        outputs: Sequence[str],
+        *,
+        time: str | None = "t",
+        sample_time: float | None = None,
+        units: Mapping[str, str] | None = None,
+    ) -> Recording:
+        """Read a CSV file with a header line ``name``, ``name [unit]`` or ``name (unit)`` a column.
+
+        Pass `sample_time` in seconds to ignore the time column, e.g. when its stamps are rounded.
+        """
+        columns, found = read_table(path)
+        return cls.from_columns(
+            columns,
+            inputs,
+            outputs,
+            time=time,
+            sample_time=sample_time,
+            units={**found, **(units or {})},
+            name=Path(path).name,
+        )
+
+    @classmethod
+    def from_mat(
+        cls,
+        path: str | Path,
+        inputs: Sequence[str],
+        outputs: Sequence[str],
+        *,
+        time: str | None = "t",
+        sample_time: float | None = None,
+        units: Mapping[str, str] | None = None,
+    ) -> Recording:
+        """Read vectors of a MATLAB file (up to version 7.2), named as in the file."""
+        from scipy.io import loadmat
+
+        path = _existing(path)
+        try:
+            content = loadmat(path)
+        except (ValueError, NotImplementedError, TypeError, OSError) as error:
+            raise InputError(
+                f"{path.name} cannot be read as a MATLAB file ({error}); expected version 7.2 or older: "
+                "save it with -v7"
+            ) from error
+        columns = {
+            k: np.asarray(v, dtype=float).ravel()
+            for k, v in content.items()
+            if not k.startswith("__") and getattr(v, "dtype", np.dtype(object)).kind in "fiub"
+        }
+        return cls.from_columns(
+            columns, inputs, outputs, time=time, sample_time=sample_time, units=units, name=path.name
+        )
+
+    @classmethod
+    def from_frame(
+        cls,
+        frame: Any,
+        inputs: Sequence[str],
+        outputs: Sequence[str],
+        *,
+        time: str | None = "t",
+        sample_time: float | None = None,
+        units: Mapping[str, str] | None = None,
+        name: str = "frame",
+    ) -> Recording:
+        """From a pandas frame; the index serves as time when `time` is None and no `sample_time` is given."""
+        columns = {str(c): np.asarray(frame[c]) for c in frame.columns}
+        if time is None and sample_time is None:
+            time = "index"
+            columns[time] = np.asarray(frame.index, dtype=float)
+        return cls.from_columns(
+            columns, inputs, outputs, time=time, sample_time=sample_time, units=units, name=name
+        )
+
+    @classmethod
+    def from_columns(
+        cls,
+        columns: Mapping[str, Any],
+        inputs: Sequence[str],
+        outputs: Sequence[str],
+        *,
+        time: str | None = "t",
+        sample_time: float | None = None,
+        units: Mapping[str, str] | None = None,
+        name: str = "recording",
+    ) -> Recording:
+        """From a mapping of column name to vector."""
+        inputs = [inputs] if isinstance(inputs, str) else list(inputs)
+        outputs = [outputs] if isinstance(outputs, str) else list(outputs)
+        wanted = [*inputs, *outputs] + ([time] if sample_time is None and time is not None else [])
+        missing = [c for c in wanted if c not in columns]
+        if missing:
+            raise InputError(f"{name} has no column {missing[0]!r}; its columns are {sorted(columns)}")
+        n_samples = len(columns[wanted[0]]) if wanted else 0
+        if sample_time is not None:
+            if not (np.isfinite(sample_time) and sample_time > 0):
+                raise InputError(f"sample_time is {sample_time}; expected positive seconds")
+            clock = sample_time * np.arange(n_samples)
+        elif time is not None:
+            clock = columns[time]
+        else:
+            raise InputError("neither a time column nor sample_time= was given; name one of them")
+
+        def block(names: list[str], what: str) -> np.ndarray:
+            rows = [_as_float(columns[c], f"column {c!r}") for c in names]
+            lengths = {r.shape for r in rows}
+            if len(lengths) > 1:
+                raise InputError(f"{what} of {name} have different lengths {sorted(lengths)}; expected the same")
+            return np.column_stack(rows) if rows else np.zeros((n_samples, 0))
+
+        used = {k: v for k, v in (units or {}).items() if k in (*inputs, *outputs)}
+        return cls(clock, block(inputs, "inputs"), block(outputs, "outputs"), tuple(inputs), tuple(outputs), used, name)
+
+    # -- looking ---------------------------------------------------------------------------------------------
+
+    def __len__(self) -> int:
+        return self.time.size
+
+    @property
+    def sample_time(self) -> float:
+        """Seconds between samples."""
+        return self._sample_time  # type: ignore[attr-defined]
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Input names, then output names."""
+        return self.input_names + self.output_names  # type: ignore[operator]
+
+    def __getitem__(self, key: str | slice) -> Any:
+        """A channel by name, shape (N,), or a slice of samples as a new recording."""
+        if isinstance(key, slice):
+            return self.replace(time=self.time[key], inputs=self.inputs[key], outputs=self.outputs[key])
+        for names, block in ((self.input_names, self.inputs), (self.output_names, self.outputs)):
+            if key in names:
+                return block[:, names.index(key)]
+        raise InputError(f"{self.name} has no channel {key!r}; its channels are {list(self.names)}")
+
+    # -- changing (copies) -----------------------------------------------------------------------------------
+
+    def replace(self, **changes: Any) -> Recording:
+        """A copy with some fields changed."""
+        from dataclasses import replace
+
+        return replace(self, **changes)
+
+    def between(self, start: float, stop: float) -> Recording:
+        """The samples with ``start <= time < stop``, in seconds."""
+        keep = np.flatnonzero((self.time >= start) & (self.time < stop))
+        if keep.size < 2:
+            raise InputError(
+                f"{keep.size} samples lie in [{start:g}, {stop:g}) s; the recording spans "
+                f"[{self.time[0]:g}, {self.time[-1]:g}] s"
+            )
+        return self[keep[0] : keep[-1] + 1]
+
+    def split(self, fraction: float = 0.5) -> tuple[Recording, Recording]:
+        """Estimation and validation part: the first `fraction` of the samples and the rest, not shuffled."""
+        if not 0.0 < fraction < 1.0:
+            raise InputError(f"fraction is {fraction}; expected a number between 0 and 1")
+        cut = round(fraction * len(self))
+        if cut < 2 or len(self) - cut < 2:
+            raise InputError(f"a split at {fraction} of {len(self)} samples leaves a part of fewer than 2")
+        return self[:cut], self[cut:]
+
+    def decimate(self, factor: int) -> Recording:
+        """Every `factor`-th sample, without filtering: apply an anti-alias filter first where it matters."""
+        if factor < 1 or int(factor) != factor:
+            raise InputError(f"factor is {factor}; expected a whole number of at least 1")
+        return self[:: int(factor)]
+
+
+def _existing(path: str | Path) -> Path:
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path} is not a file; expected the path of a recording")
+    if path.stat().st_size == 0:
+        raise InputError(f"{path.name} is empty; expected a header line and rows of numbers")
+    return path
+
+
+def read_table(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
+    """Read a CSV file with a header line.
+
+    Returns
+    -------
+    columns : dict of name to array, shape (N,)
+    units : dict of name to unit
+        For headers written ``name [unit]`` or ``name (unit)``.
+
+    Raises
+    ------
+    InputError
+        Missing or empty file, no header, repeated names, ragged rows, or a cell that is not a number.
+    """
+    path = _existing(path)
+    with path.open(newline="", encoding="utf-8-sig") as file:
+        sample = file.read(4096)
+        delimiter = max(",;\t", key=sample.split("\n", 1)[0].count)
+        file.seek(0)
+        rows = [row for row in csv.reader(file, delimiter=delimiter) if row and not row[0].startswith("#")]
+    if len(rows) < 2:
+        raise InputError(f"{path.name} has {len(rows)} lines; expected a header line and at least one row")
+    names, units = [], {}
+    for cell in rows[0]:
+        match = _HEADER.match(cell)
+        name = match["name"] if match else cell.strip()
+        names.append(name)
+        if match and match["unit"] is not None:
+            units[name] = match["unit"].strip()
+    if any(_is_number(n) for n in names):
+        raise InputError(f"the first line of {path.name} holds numbers ({rows[0][:3]}…); expected column names")
+    repeated = sorted({n for n in names if names.count(n) > 1})
+    if repeated:
+        raise InputError(f"{path.name} has the column {repeated[0]!r} twice; expected different names")
+    ragged = next((i for i, row in enumerate(rows) if len(row) != len(names)), None)
+    if ragged is not None:
+        raise InputError(
+            f"row {ragged + 1} of {path.name} has {len(rows[ragged])} cells, the header {len(names)}; "
+            "expected the same number: is a delimiter or a decimal comma in the way?"
+        )
+    try:
+        data = np.array(rows[1:], dtype=float)
+    except ValueError as error:
+        for i, row in enumerate(rows[1:], 2):
+            for name, cell in zip(names, row, strict=True):
+                if not _is_number(cell):
+                    raise InputError(
+                        f"row {i}, column {name!r} of {path.name} holds {cell!r}; expected a number"
+                    ) from error
+        raise InputError(f"{path.name} cannot be read as numbers ({error})") from error
+    return {name: np.ascontiguousarray(data[:, j]) for j, name in enumerate(names)}, units
+
+
+def _is_number(cell: str) -> bool:
+    try:
+        float(cell)
+    except ValueError:
+        return False
+    return True
