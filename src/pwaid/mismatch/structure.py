@@ -297,7 +297,8 @@ class Structure:
             constants = (shift,) if kind == "thermal" else ()
             span = (min(self.low[i], 0.0), self.high[i] - min(self.low[i], 0.0))
             places.append(self._place("state", self.plant.state_names[i], [self.plant.state_names[i]], ii, x=i,
-                                      levels={"position": span}, constants=constants))
+                                      levels={"position": span, "ambient": (self.low[i], self.high[i] - self.low[i])},
+                                      units={"ambient": self.state_units[i]}, constants=constants))
         return places
 
     def cascades(self, kind: str) -> list[Place]:

@@ -31,12 +31,20 @@ def stribeck(phase, t, h, x, xs, u, p, dx, ii, q):
 
 
 def presliding(phase, t, h, x, xs, u, p, dx, ii, q):
-    """Dahl: F = stiffness * z, dz/dt = v - stiffness*|v|*z/level."""
-    z = x[ii[0]]
-    push(phase, -q[1] * z, ii, u, p, dx)
-    if phase == 2:
+    """Dahl: F = stiffness * z, dz/dt = v - stiffness*|v|*z/level, exact for the substep's first speed."""
+    e = ii[0]
+    if phase == 0:
         v = x[ii[4]]
-        dx[ii[0]] = v - q[1] * abs(v) * z / q[0]
+        b = q[1] * abs(v) * h / q[0]
+        old = x[e]
+        if b < 1e-6:
+            x[e] += v * h
+        else:
+            rest = q[0] / q[1] * (1.0 if v > 0.0 else -1.0)
+            x[e] = rest + (x[e] - rest) * exp(-b)
+        x[e + 1] = 0.5 * (old + x[e])
+    elif phase <= 2:
+        push(phase, -q[1] * x[e + 1], ii, u, p, dx)
 
 
 def load_dependent(phase, t, h, x, xs, u, p, dx, ii, q):
@@ -67,7 +75,7 @@ EFFECTS = (
            (Quantity("level", "force", 1e-3, 5.0, (0.04, 0.2)),
             Quantity("stiffness", "force/position", 0.1, 3e3, (3.0, 30.0))), presliding,
            lambda s: s.moving(with_position=True), ("coulomb_friction", "hysteretic_spring"),
-           "small reversals, a few percent of the stroke, around several points", extra_states=1,
+           "small reversals, a few percent of the stroke, around several points", extra_states=2,
            contains=("coulomb_friction",), memory=True, dissipative=True),
     Effect("load_dependent_friction", "dry_friction", "F = (level + load_factor*|load|) * sign(v)",
            (Quantity("level", "force", 1e-5, 5.0, (0.002, 0.1)), Quantity("load_factor", "1", 1e-3, 0.95, (0.06, 0.25))),

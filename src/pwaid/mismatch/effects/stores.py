@@ -102,7 +102,7 @@ EFFECTS = (
            ("actuator_saturation", "sensor_saturation"), "a long high plateau"),
     Effect("radiation", "thermal", "dT/dt = ... - coefficient*75 K*((T/300 K)^4 - (T_ambient/300 K)^4)",
            (Quantity("coefficient", "1/time", 1e-4, 30.0, (0.03, 0.2, 1.0)),
-            Quantity("ambient", "kelvin", -200.0, 500.0, (), log=False)), radiation, lambda s: s.stores("thermal"),
+            Quantity("ambient", "ambient_level", -5.0, 5.0, (0.0, 0.5), log=False)), radiation, lambda s: s.stores("thermal"),
            ("leakage", "second_thermal_mass"), "two temperatures, long rests", dissipative=True),
     Effect("second_thermal_mass", "thermal", "dT/dt = ... - coupling_rate*(T - T2), dT2/dt = (T - T2)/time_constant",
            (Quantity("coupling_rate", "1/time", 1e-3, 30.0, (0.1, 0.5)),
