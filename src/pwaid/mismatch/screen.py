@@ -25,7 +25,7 @@ from pwaid.mismatch.structure import Structure
 
 __all__ = ["Projector", "Screened", "locate_effects", "run_jobs", "screen", "shortlist"]
 
-ABSORBED = 0.004  # a signature of which less than this share is left after projection is a parameter in disguise
+ABSORBED = 1e-5  # a small signature of which less than this share is left is a nominal parameter in disguise
 
 
 @dataclass(frozen=True)
@@ -130,6 +130,17 @@ def screen(problem: Problem, fit: Fit, located: Sequence[Located], jobs: int = 1
     residual = fit.residual(data)
     norm = float(e @ e)
 
+    def small(candidate, model, reference, z) -> float:
+        """Share of the signature left by projection when the effect is a hundred times smaller."""
+        z = np.array(z)
+        if not z.size:
+            return 1.0
+        z[0] = z[0] - np.log(100.0) if candidate.effect.quantities[0].log else z[0] * 0.01
+        s = ((model.simulate(np.concatenate([fit.theta, z]), fit.X0, data)[0] - reference) / sigma).ravel()
+        full = float(s @ s)
+        left = project(s)
+        return float(left @ left) / full if full > 0 else 1.0
+
     def one(candidate: Located) -> Screened:
         model = Model(problem.settings, (*base.located, candidate))
         reference = fit.Y
@@ -163,16 +174,12 @@ def screen(problem: Problem, fit: Fit, located: Sequence[Located], jobs: int = 1
             tick()
         scored.sort(key=lambda item: -item[0])
         best = scored[0][0] if scored else 0.0
-        if visible < ABSORBED and not _out_of_reach(candidate, problem):
+        if best > 0 and visible < 0.02 and small(candidate, model, reference, scored[0][1]) < ABSORBED:
             best = 0.0
         return Screened(candidate, best, tuple(np.array(z) for _, z in scored[:4]), visible)
 
     found = run_jobs(one, located, jobs)
     return sorted(found, key=lambda s: -s.score)
-
-
-def _out_of_reach(candidate: Located, problem: Problem) -> bool:
-    return False
 
 
 def shortlist(screened: Sequence[Screened], top: int = 8, per_family: float = 0.3, limit: int = 14) -> list[Screened]:
@@ -188,6 +195,11 @@ def shortlist(screened: Sequence[Screened], top: int = 8, per_family: float = 0.
         if len(chosen) < top and seen.get(key, 0) < 2:
             chosen.append(s)
             seen[key] = seen.get(key, 0) + 1
+    for s in alive:  # a law inside a chosen law is always fitted beside it
+        inside = any(s.located.effect.id in c.located.effect.contains
+                     and s.located.place.signal == c.located.place.signal for c in chosen)
+        if inside and s not in chosen:
+            chosen.append(s)
     ids = {s.located.effect.id for s in chosen}
     families = {s.located.effect.family for s in chosen}
     for s in alive:
