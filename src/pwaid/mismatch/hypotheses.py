@@ -141,19 +141,45 @@ def _same_knob(a: Located, b: Located) -> bool:
     return (a.effect.id == b.effect.id or b.effect.id in a.effect.contains or a.effect.id in b.effect.contains)
 
 
+def _distinct(hypotheses: Sequence[Hypothesis], count: int) -> list[Hypothesis]:
+    """The best hypothesis of each id and place, in order."""
+    seen, chosen = set(), []
+    for h in hypotheses:
+        key = (h.ids, tuple(e.place.signal for e in h.located))
+        if key not in seen:
+            seen.add(key)
+            chosen.append(h)
+    return chosen[:count]
+
+
 def fit_pairs(problem: Problem, singles: Sequence[Hypothesis], located: Sequence[Located], jobs: int = 1,
-              beam: int = 3, width: int = 2, tick=None) -> list[Hypothesis]:
-    """On top of the best singles, screen again and fit the best seconds."""
+              beam: int = 2, width: int = 2, tick=None) -> list[Hypothesis]:
+    """On top of the best singles, screen again and fit the best seconds, then the variants of the best pair's laws."""
     pairs: list[Hypothesis] = []
     seen: set[frozenset] = set()
-    for h in singles[:beam]:
+    for h in _distinct(singles, beam):
         others = [c for c in located if not _same_knob(c, h.located[0])]
         again = screen(problem, h.fit, others, jobs)
         chosen = []
-        for s in shortlist(again, top=width + 2, limit=width + 2):
-            key = frozenset((h.located[0].label, s.located.label))
-            if key not in seen and len(chosen) < width:
+        for s in again:
+            key = frozenset(((h.ids[0], h.located[0].place.signal), (s.located.effect.id, s.located.place.signal)))
+            if s.score > 0 and key not in seen and len(chosen) < width:
                 seen.add(key)
                 chosen.append(s)
         pairs += fit_shortlist(problem, chosen, jobs, base=h.fit, tick=tick)
+    pairs.sort(key=lambda h: h.train_error)
+    for best in _distinct(pairs, 1):
+        pairs += _variants(problem, best, singles, located, jobs, tick)
     return sorted(pairs, key=lambda h: h.train_error)
+
+
+def _variants(problem, pair, singles, located, jobs, tick):
+    """The same two ids under their other laws and places next to these."""
+    first, second = pair.located
+    base = next((h for h in singles if h.located[0].key == first.key), None)
+    if base is None:
+        return []
+    others = [c for c in located if c.effect.id == second.effect.id and c.key != second.key
+              and c.place.kind == second.place.kind][:3]
+    candidates = [s for s in screen(problem, base.fit, others, jobs) if s.score > 0]
+    return fit_shortlist(problem, candidates, jobs, base=base.fit, tick=tick)

@@ -32,6 +32,11 @@ class Located:
         return f"{self.effect.id} at {self.place.channel}{note}"
 
     @property
+    def key(self) -> tuple:
+        """What tells two candidates apart, variants of a law included."""
+        return self.effect.id, self.effect.law, self.place.channel, self.place.ii
+
+    @property
     def size(self) -> int:
         return len(self.effect.quantities)
 

@@ -11,7 +11,7 @@ import numpy as np
 from pwaid.errors import InputError
 from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.fit import Fit, fit_model, fit_starts
-from pwaid.mismatch.floor import Floor, estimate_floor
+from pwaid.mismatch.floor import Floor, estimate_floor, white_level
 from pwaid.mismatch.model import LIMIT, Model, Settings
 from pwaid.mismatch.plant import Plant
 from pwaid.mismatch.structure import Structure, find_structure
@@ -128,21 +128,22 @@ def _growth(plant: Plant, states, inputs) -> float:
 
 
 def _substeps(model: Model, theta, X0, data: Dataset) -> int:
-    """Substeps per sample for which halving the step changes the outputs by less than 1e-5 of their range."""
+    """Substeps per sample for which halving the step changes the outputs by less than the noise, or 1e-4 of their range."""
     if model.settings.plant.dt:
         return 1
     span = np.ptp(data.Y, axis=0) + 1e-12
+    noise = np.array([white_level(data.Y[:, k], 4) for k in range(data.Y.shape[1])])
+    allowed = np.clip(0.05 * noise, 2e-5 * span, 5e-4 * span)
     short = replace(data, segments=data.segments.copy())
     S, previous = 1, None
-    while S <= 64:
+    while S <= 32:
         Y, _ = Model(model.settings, model.located, S).simulate(theta, X0, short)
         if previous is not None:
-            worst = np.max(np.abs(Y - previous) / span)
-            if worst < 2e-5 and np.all(np.abs(Y) < LIMIT):
+            if np.all(np.sqrt(np.mean((Y - previous) ** 2, axis=0)) < allowed) and np.all(np.abs(Y) < LIMIT):
                 return S // 2
         previous = Y
         S *= 2
-    return 16
+    return 8
 
 
 def segment_length(plant: Plant, growth: float, samples: int, sample_time: float, time_scale: float) -> int:

@@ -360,6 +360,11 @@ def find_structure(plant: Plant, states, inputs, outputs, input_units, output_un
         if kinds[i] in ("velocity", "position") and not units[i]:
             base = {"rad": 1} if default_angle or "th" in plant.state_names[i].lower() else {"m": 1}
             units[i] = {**base, "s": -1} if kinds[i] == "velocity" else base
+    for kind in ("fluid", "thermal"):
+        known = next((units[i] for i in range(nx) if kinds[i] == kind and units[i]), {})
+        for i in range(nx):
+            if kinds[i] == kind and not units[i]:
+                units[i] = known
     entry, scale, funits, iunits, mobility = _force_entries(plant, kinds, points, low, high, rms_u, input_units, units)
     dy = np.diff(outputs, axis=0) / sample_time
     active = np.std(outputs, axis=0) > 0
