@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
+from pwaid import mismatch
 from pwaid._version import __version__
 from pwaid.delaunay import SimplexMesh
 from pwaid.errors import InputError, PwaidError
@@ -70,10 +71,55 @@ def _parser() -> argparse.ArgumentParser:
     sweep.add_argument("-o", "--out", type=Path, default=Path("pwaid-out"), help="folder for the results")
     sweep.set_defaults(run=_sweep)
 
-    demo = commands.add_parser("demo", help="a λ sweep on generated data; writes pictures and says where")
+    explain = commands.add_parser("explain", help="say why a simulator and recordings differ")
+    explain.add_argument("case", type=Path, metavar="CASE_DIR", help="folder with case.toml, simulator and recordings")
+    explain.add_argument("-o", "--out", type=Path, help="folder for the results (default: CASE_DIR/explained)")
+    explain.add_argument("--jobs", type=_jobs, default=1, help="threads (default 1)")
+    explain.add_argument("--without", action="append", default=[], metavar="EFFECT_ID", help="leave an effect out")
+    explain.set_defaults(run=_explain)
+
+    effects = commands.add_parser("effects", help="list the catalogue of effects")
+    effects.set_defaults(run=_effects)
+
+    demo = commands.add_parser("demo", help="a λ sweep, then a concealed effect explained, on packaged data")
     demo.add_argument("-o", "--out", type=Path, help="folder for the results (default: a new temporary one)")
     demo.set_defaults(run=_demo)
     return parser
+
+
+def _jobs(text: str) -> int:
+    """A number of threads, for argparse."""
+    if not text.isdigit() or int(text) < 1:
+        raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
+    return int(text)
+
+
+def _explain(options: argparse.Namespace) -> int:
+    bar = tqdm(total=100, desc="explain", unit="%", disable=not sys.stderr.isatty(), bar_format="{l_bar}{bar}| {postfix}")
+
+    def progress(fraction: float, text: str) -> None:
+        bar.set_postfix_str(text)
+        bar.update(round(100 * fraction) - bar.n)
+
+    out = options.out or options.case / "explained"
+    try:
+        report = mismatch.explain_case(
+            options.case, out, jobs=options.jobs, progress=progress, without=tuple(options.without)
+        )
+    finally:
+        bar.close()
+    print(report.summary())
+    print(f"\nwritten: {', '.join(sorted(p.name for p in out.iterdir()))} in {out}")
+    return 0
+
+
+def _effects(options: argparse.Namespace) -> int:
+    for row in mismatch.effects_table():
+        print(f"{row['id']}  ({row['family']})")
+        for key, value in row.items():
+            if key not in ("id", "family") and value:
+                print(f"    {key.replace('_', ' ')}: {', '.join(value) if isinstance(value, list | tuple) else value}")
+    return 0
 
 
 class _Bar:
