@@ -35,11 +35,11 @@ def rhs(x, u, p, e, w, mode, dx):
 
 def _source(extra):
     def text(plant, params, measured, variant):
-        names = {"M": plant.params[0].name, "q": plant.states[0][0], "v": plant.states[1][0]}
+        names = {"M": plant.params[0].name, "v": plant.states[1][0]}
         drag = "" if variant == "viscous_friction" else f" - {plant.params[1].name} * {names['v']}"
         unused = [p.name for p in plant.params[3:] if p.typical == 0.0]
         omit = (*unused, plant.params[1].name) if variant == "viscous_friction" else tuple(unused)
-        body = (f"    {names['q']}, {names['v']} = x[0], x[1]\n"
+        body = (f"    {names['v']} = x[1]\n"
                 f"    force = {plant.params[2].name} * u[0]{drag}{extra}\n"
                 f"    return np.array([{names['v']}, force / {names['M']}])")
         return nonlinear_text(plant, params, measured, body, "Rigid, linear." if "sin" not in extra else "Rigid.",
