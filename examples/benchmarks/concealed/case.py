@@ -311,7 +311,7 @@ def _record(case, rng):
             w += recipe.disturbance * scene.force * excitation.coloured(n, plant.ts, cutoff, rng)
         rec.u, _, clean = _run(plant, case.p, case.e, rec, case.measured, recipe.hold, noise, w)
         quiet = replace(rec, signal=rec.u, loop=None)
-        _, _, rec.free = _run(plant, case.p, case.e, quiet, case.measured, recipe.hold)
+        _, _, rec.free = _run(plant, case.p, case.e, quiet, case.measured, recipe.hold, w=rec.w)
         quantum = case.e[vector.QUANTUM]
         rec.y = clean + noise
         if recipe.stranger == "output_dropout":

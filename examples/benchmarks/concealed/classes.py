@@ -162,11 +162,7 @@ def _accept(name, cell, case):
     if name in ("single", "pair", "left_out", "out_of_catalogue"):
         if name == "out_of_catalogue" and case.recipe.stranger == "output_dropout":
             return
-        floor = 0.0
-        if name == "out_of_catalogue" and case.recipe.stranger != "torque_speed_limit":
-            margins = held = [max(case.facts["disturbance_ratio"], case.margins["everything"])]
-        else:
-            floor = ABOVE_DISTURBANCE * case.facts["disturbance_ratio"]
+        floor = ABOVE_DISTURBANCE * case.facts["disturbance_ratio"]
         _need(min(margins) >= max(SEEN, floor), "the effect is too small to be seen")
         _need(min(held) >= max(SEEN_HELD_OUT, 0.5 * floor), "the effect is too small on the held-out recordings")
     elif name == "parameters":

@@ -77,7 +77,7 @@ def key_entry(case, name, cell, seed):
         "disturbance": recipe.disturbance, "repeats": recipe.repeats, "noise_floor_given": recipe.floor,
         "stranger": recipe.stranger, "variant": case.variant,
         "effects": [{"id": d.id, "family": d.family, "where": d.where, "equivalents": same[d.id],
-                     "parameters": {k: {"value": float(v), "unit": u} for k, (v, u) in d.parameters.items()}}
+                     "parameters": {k: _number(case, d, v, u) for k, (v, u) in d.parameters.items()}}
                     for d in case.drawn],
         "parameters_true": {q.name: float(v) for q, v in zip(plant.params, case.p, strict=True)},
         "parameters_nominal": {q.name: float(v) for q, v in zip(plant.params, case.nominal, strict=True)},
@@ -90,6 +90,15 @@ def key_entry(case, name, cell, seed):
         "floor_rmse": {r.name + ".csv": dict(zip(outputs, map(float, np.sqrt(((r.y - r.free) ** 2).mean(axis=0))),
                                                  strict=True)) for r in case.recordings},
     }
+
+
+def _number(case, drawn, value, unit):
+    """A true value with its unit; loads also in the unit of the input, where an offset can equally be reported."""
+    out = {"value": float(value), "unit": unit}
+    names = [q.name for q in case.plant.params]
+    if drawn.id in ("constant_load", "periodic_disturbance") and unit == case.plant.force_unit and "gain" in names:
+        out["also"] = [{"value": float(value / case.p[names.index("gain")]), "unit": case.plant.inputs[0][1]}]
+    return out
 
 
 def _condition(recipe):
