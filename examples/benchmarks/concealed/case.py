@@ -1,4 +1,5 @@
-"""Build one sealed case from a recipe: plant, recordings, effects, noise, nominal side, and how visible it all is."""
+"""Build one sealed case from a recipe: plant, recordings, effects, noise, nominal side, and how visible it
+all is."""
 
 from __future__ import annotations
 
@@ -111,7 +112,8 @@ def build(recipe, rng):
     _drifts(drawn, plant, recordings)
     sigma = _noise_size(plant, p, e, recordings, measured, recipe, scene)
     nominal, e_nominal, free, variant = _nominal_side(p, base, drawn, plant, recipe, rng)
-    case = Case(recipe, plant, measured, p, e, nominal, e_nominal, free, variant, drawn, recordings, sigma, {}, {},
+    case = Case(recipe, plant, measured, p, e, nominal, e_nominal, free, variant, drawn, recordings, sigma,
+                {}, {},
                 {"scene": scene})
     _add_clutter(case, scene, base, rng)
     _record(case, rng)
@@ -137,7 +139,8 @@ def _plan(recipe, plant, p, measured, rng):
         if kind == "closed_loop":
             signal, loop = excitation.closed_loop(plant, p, measured, n, level, rng)
         elif kind == "sine":
-            signal = excitation.sine(plant, n, level, rng, tune if train else tune + rng.choice([-0.12, 0.12]))
+            signal = excitation.sine(plant, n, level, rng,
+                                     tune if train else tune + rng.choice([-0.12, 0.12]))
         else:
             signal = getattr(excitation, kind)(plant, n, level, rng)
         spread = np.array(plant.x0_spread) * (6.0 if recipe.state_error else 1.0)
@@ -153,7 +156,8 @@ def _plan(recipe, plant, p, measured, rng):
 
 
 def _run(plant, p, e, rec, measured, hold, noise=None, w=None):
-    return simulate(plant, p, e, rec.x0, rec.signal, nsub=NSUB, outputs=measured, w=w, drift=rec.drift, hold=hold,
+    return simulate(plant, p, e, rec.x0, rec.signal, nsub=NSUB, outputs=measured, w=w, drift=rec.drift,
+                    hold=hold,
                     loop=rec.loop, noise=noise)
 
 
@@ -173,7 +177,8 @@ def _scene(plant, p, base, recordings, measured, recipe):
     slope = np.sqrt(np.mean(np.concatenate([np.diff(runs[i][0][:, 0]) for i in chosen]) ** 2)) / plant.ts
     if recipe.excitation == "steps" or recipe.excitation == "closed_loop":
         slope = 2.0 * np.pi * np.sqrt(plant.band[0] * plant.band[1]) * 1.5 * u.std()
-    return Scene(plant=plant, p=p, force=float(gain * driver.std()), q_rms=float(q.std()), q_max=float(abs(q).max()),
+    return Scene(plant=plant, p=p, force=float(gain * driver.std()), q_rms=float(q.std()),
+                 q_max=float(abs(q).max()),
                  v_rms=float(np.sqrt((v**2).mean())), u_rms=float(u.std()), u_mean=float(bias),
                  u_max=float(abs(u).max()), slope=float(slope), y_std=y.std(axis=0),
                  y_mean=y.mean(axis=0) if min(plant.x0) > 0.0 else 0.0 * y[0], y_max=abs(y).max(axis=0),
@@ -221,13 +226,16 @@ def _strangers(recipe, plant, scene, e, recordings, rng):
         t = np.arange(n) * plant.ts
         if kind == "pulse_disturbance":
             for _ in range(int(rng.integers(3, 7))):
-                at, wide = int(rng.integers(0, n - 60)), int(rng.uniform(0.15, 0.5) / np.sqrt(low * high) / plant.ts)
+                at = int(rng.integers(0, n - 60))
+                wide = int(rng.uniform(0.15, 0.5) / np.sqrt(low * high) / plant.ts)
                 rec.w[at:at + wide] += rng.choice([-1.0, 1.0]) * rng.uniform(0.6, 1.6) * scene.force
         elif kind == "sine_disturbance":
             f = low * (high / low) ** rng.uniform(0.3, 0.7)
-            rec.w += rng.uniform(0.4, 0.8) * scene.force * np.sin(2.0 * np.pi * f * t + rng.uniform(0.0, 6.28))
+            rec.w += rng.uniform(0.4, 0.8) * scene.force * np.sin(2.0 * np.pi
+                                                                  * f * t + rng.uniform(0.0, 6.28))
         elif kind == "unknown_disturbance":
-            rec.w += rng.uniform(0.4, 0.7) * scene.force * excitation.coloured(n, plant.ts, np.sqrt(low * high), rng)
+            rec.w += rng.uniform(0.4, 0.7) * scene.force * excitation.coloured(n, plant.ts,
+                                                                               np.sqrt(low * high), rng)
         elif kind == "parameter_wander":
             free = [i for i, q in enumerate(plant.params) if q.free]
             index = free[-1]
@@ -236,7 +244,8 @@ def _strangers(recipe, plant, scene, e, recordings, rng):
     return e
 
 
-STRANGERS = ("pulse_disturbance", "sine_disturbance", "unknown_disturbance", "parameter_wander", "output_dropout",
+STRANGERS = ("pulse_disturbance", "sine_disturbance", "unknown_disturbance", "parameter_wander",
+             "output_dropout",
              "torque_speed_limit")
 
 
@@ -252,7 +261,8 @@ def _noise_size(plant, p, e, recordings, measured, recipe, scene):
 
 
 def _nominal_side(p, base, drawn, plant, recipe, rng):
-    """What the engineer has: parameters with errors, terms left out, and the list of parameters that may be wrong."""
+    """What the engineer has: parameters with errors, terms left out, and the list of parameters that may be
+    wrong."""
     nominal, e = p.copy(), base.copy()
     trusted, variant = set(), ""
     for d in drawn:
@@ -281,7 +291,8 @@ def _add_clutter(case, scene, base, rng):
         for rec in case.recordings:
             if rec.role == "train":
                 still = replace(rec, drift=None)
-                u, _, y = _run(case.plant, case.p, clutter.applied(base, slots), still, case.measured, case.recipe.hold)
+                u, _, y = _run(case.plant, case.p, clutter.applied(base, slots), still, case.measured,
+                               case.recipe.hold)
                 pairs.append((u, y, rec.x0))
         size = refit(case.plant, case.p, base, case.free, pairs, case.sigma, case.measured,
                      hold=case.recipe.hold, iterations=5).ratio()
@@ -304,7 +315,8 @@ def _record(case, rng):
         noise = case.sigma * rng.standard_normal((n, len(case.measured)))
         if recipe.coloured_sensor:
             middle = np.sqrt(plant.band[0] * plant.band[1]) * 3.0
-            noise = case.sigma * np.column_stack([excitation.coloured(n, plant.ts, middle, rng) for _ in case.sigma])
+            noise = case.sigma * np.column_stack([excitation.coloured(n, plant.ts, middle,
+                                                                      rng) for _ in case.sigma])
         w = rec.w.copy()
         if recipe.disturbance > 0.0:
             cutoff = np.sqrt(plant.band[0] * plant.band[1])
@@ -324,7 +336,7 @@ def _record(case, rng):
                 rec.free[:, j] = quantum * np.round(rec.free[:, j] / quantum)
         if not (np.isfinite(rec.y).all() and np.isfinite(rec.free).all()):
             raise Rejected("a recording is not finite")
-        rejected.append(((clean - rec.free) / case.sigma))
+        rejected.append((clean - rec.free) / case.sigma)
     case.facts["disturbance_ratio"] = float(np.sqrt((np.concatenate(rejected) ** 2).mean(axis=0)).max())
 
 
@@ -356,7 +368,8 @@ def nominal_with(case, known):
 
 
 def measure(case):
-    """Fill the margins: what each effect leaves after the best refit of everything else, in units of the noise."""
+    """Fill the margins: what each effect leaves after the best refit of everything else, in units of the
+    noise."""
     hold = case.recipe.hold
     train, test = recorded_pairs(case, "train"), recorded_pairs(case, "test")
     targets = case.drawn or (None,)
@@ -368,7 +381,8 @@ def measure(case):
         name = d.id if isinstance(d, Drawn) else "everything"
         case.margins[name] = fit.ratio()
         case.heldout_margins[name] = held.ratio()
-    still = refit(case.plant, case.nominal, case.e_nominal, case.free, train, case.sigma, case.measured, hold=hold,
+    still = refit(case.plant, case.nominal, case.e_nominal, case.free, train, case.sigma, case.measured,
+                  hold=hold,
                   move=False)
     case.facts["nominal_ratio"] = still.ratio()
     return case

@@ -11,8 +11,10 @@ from concealed.effects import CONTAINED_IN, FAMILY, IDS, THRESHOLDS
 from concealed.plants import PLANTS
 
 CELLS = ("rich", "hard")
-HEADLINE = ("single", "pair", "clean", "parameters", "initial_state", "unexcited", "out_of_catalogue", "left_out")
-CONCEALED = ("concealed_controller", "concealed_parameter", "concealed_noise", "concealed_mask", "concealed_output")
+HEADLINE = ("single", "pair", "clean", "parameters", "initial_state", "unexcited", "out_of_catalogue",
+            "left_out")
+CONCEALED = ("concealed_controller", "concealed_parameter", "concealed_noise", "concealed_mask",
+             "concealed_output")
 CLASSES = HEADLINE + CONCEALED
 CONDITIONS = ("closed_loop", "sine", "disturbance")
 
@@ -27,12 +29,16 @@ NOT_IN_PAIRS = ("parameter_drift", "sensor_quantization", "sensor_rectification"
                 "viscous_friction")
 ABSORBED = ("quadratic_drag", "coulomb_friction", "cubic_stiffness", "sensor_nonlinearity", "input_delay",
             "actuator_lag", "leakage", "radiation", "asymmetric_viscous_friction", "actuator_saturation")
-REJECTED_BY_LOOP = ("coulomb_friction", "quadratic_drag", "constant_load", "actuator_deadzone", "position_ripple",
+REJECTED_BY_LOOP = ("coulomb_friction", "quadratic_drag", "constant_load", "actuator_deadzone",
+                    "position_ripple",
                     "actuator_gain_asymmetry", "stribeck_friction", "leakage", "overflow", "radiation")
-LOAD_SIDE = ("coulomb_friction", "stribeck_friction", "quadratic_drag", "position_ripple", "presliding_friction")
+LOAD_SIDE = ("coulomb_friction", "stribeck_friction", "quadratic_drag", "position_ripple",
+             "presliding_friction")
 
-# Open-loop recordings of a linear plant cannot carry the difference; the key lists them, the scorer accepts them.
-LINEAR = ("rotary_drive", "linear_drive", "mass_spring_damper", "two_mass_drive", "thermal_plant", "rl_circuit",
+# Open-loop recordings of a linear plant cannot carry the difference; the key lists them, the scorer accepts
+# them.
+LINEAR = ("rotary_drive", "linear_drive", "mass_spring_damper", "two_mass_drive", "thermal_plant",
+          "rl_circuit",
           "dc_motor", "hydraulic_cylinder")
 
 
@@ -57,11 +63,13 @@ def generate(name, cell, index, seed):
             continue
         case.facts["attempts"] = attempt + 1
         return case
-    raise RuntimeError(f"class {name}, cell {cell}, seed {seed}: no case in {ATTEMPTS} draws; widen the recipe")
+    message = f"class {name}, cell {cell}, seed {seed}: no case in {ATTEMPTS} draws"
+    raise RuntimeError(message + "; widen the recipe")
 
 
 def _plants_with(effects, rng, among=None):
-    fits = [n for n, p in PLANTS.items() if all(e in p.effects for e in effects) and (among is None or n in among)]
+    fits = [n for n, p in PLANTS.items() if all(e in p.effects for e in effects)
+            and (among is None or n in among)]
     return str(rng.choice(fits)) if fits else None
 
 
@@ -96,7 +104,8 @@ def _effects(name, index, size, rng, order):
         return [(big, 1.5), (small, 0.35 * size)]
     if name == "unexcited":
         return [(THRESHOLDS[index % len(THRESHOLDS)], 1.0)]
-    pools = {"concealed_controller": REJECTED_BY_LOOP, "concealed_parameter": ABSORBED, "concealed_output": LOAD_SIDE}
+    pools = {"concealed_controller": REJECTED_BY_LOOP, "concealed_parameter": ABSORBED,
+             "concealed_output": LOAD_SIDE}
     if name in pools:
         return [(pools[name][index % len(pools[name])], size)]
     if name == "concealed_noise":
@@ -164,7 +173,8 @@ def _accept(name, cell, case):
             return
         floor = ABOVE_DISTURBANCE * case.facts["disturbance_ratio"]
         _need(min(margins) >= max(SEEN, floor), "the effect is too small to be seen")
-        _need(min(held) >= max(SEEN_HELD_OUT, 0.5 * floor), "the effect is too small on the held-out recordings")
+        _need(min(held) >= max(SEEN_HELD_OUT, 0.5 * floor),
+              "the effect is too small on the held-out recordings")
     elif name == "parameters":
         _need(case.facts["nominal_ratio"] >= SEEN, "the parameter errors do not show")
         _need(case.margins["everything"] < 1.2, "more than parameters is wrong")
@@ -204,7 +214,8 @@ def equivalents(case):
         steady = case.plant.name in ("mass_spring_damper", "thermal_plant")
         if linear and d.id in ("constant_load", "sensor_offset") and (steady or (single and _is_speed(case))):
             same = ["constant_load", "sensor_offset"]
-        if linear and single and not _is_speed(case) and d.id in ("constant_load", "sensor_drift") and not steady:
+        if linear and single and not _is_speed(case) and d.id in ("constant_load",
+                                                                  "sensor_drift") and not steady:
             same = ["constant_load", "sensor_drift"]
         out[d.id] = [s for s in same if s != d.id]
     return out
@@ -215,7 +226,8 @@ def _is_speed(case):
 
 
 def left_out_ids(case):
-    """Ids taken from the catalogue in a leave-one-effect-out run: the truth, its doubles, and laws containing it."""
+    """Ids taken from the catalogue in a leave-one-effect-out run: the truth, its doubles, and laws containing
+    it."""
     out = []
     for d in case.drawn:
         out += [d.id, *CONTAINED_IN.get(d.id, ()), *equivalents(case)[d.id]]

@@ -1,4 +1,5 @@
-"""Small other effects that every real machine has: a few at a few percent of the force, kept under a stated size."""
+"""Small other effects that every real machine has: a few at a few percent of the force, kept under a stated
+size."""
 
 from __future__ import annotations
 

@@ -1,6 +1,8 @@
-"""The catalogue as physics: how big each effect is drawn, which slots it sets, and what the key calls its numbers.
+"""The catalogue as physics: how big each effect is drawn, which slots it sets, and what the key calls its
+numbers.
 
-Every draw sees a `Scene`: sizes of force, motion, input and outputs in a run of the same plant without the effect.
+Every draw sees a `Scene`: sizes of force, motion, input and outputs in a run of the same plant without the
+effect.
 `size` is 1 at first and grows when the effect would be too small to be seen.
 """
 
@@ -12,17 +14,20 @@ from dataclasses import dataclass, field
 import numpy as np
 
 FAMILIES = {
-    "dry_friction": ("coulomb_friction", "asymmetric_coulomb_friction", "stribeck_friction", "presliding_friction",
+    "dry_friction": ("coulomb_friction", "asymmetric_coulomb_friction", "stribeck_friction",
+                     "presliding_friction",
                      "load_dependent_friction"),
     "smooth_damping": ("viscous_friction", "asymmetric_viscous_friction", "quadratic_drag"),
-    "position": ("linear_stiffness", "cubic_stiffness", "quadratic_stiffness", "gravity_torque", "position_ripple",
+    "position": ("linear_stiffness", "cubic_stiffness", "quadratic_stiffness", "gravity_torque",
+                 "position_ripple",
                  "end_stop"),
     "hysteresis": ("hysteretic_spring",),
     "transmission": ("backlash", "compliance"),
     "inertial": ("missing_inertia", "coriolis_torque"),
     "actuator": ("actuator_saturation", "actuator_rate_limit", "actuator_deadzone", "input_play",
                  "actuator_gain_asymmetry", "constant_load", "actuator_lag", "input_delay"),
-    "sensor": ("sensor_saturation", "sensor_rectification", "sensor_quantization", "sensor_offset", "sensor_lag",
+    "sensor": ("sensor_saturation", "sensor_rectification", "sensor_quantization", "sensor_offset",
+               "sensor_lag",
                "sensor_nonlinearity"),
     "fluid": ("square_root_outflow", "head_offset", "leakage", "overflow"),
     "thermal": ("radiation", "second_thermal_mass"),
@@ -67,7 +72,8 @@ class Scene:
 
 @dataclass(frozen=True)
 class Drawn:
-    """One effect with numbers: slots of the effect vector, the key's parameters, and changes to the nominal side."""
+    """One effect with numbers: slots of the effect vector, the key's parameters, and changes to the nominal
+    side."""
 
     id: str
     slots: dict
@@ -131,7 +137,8 @@ def _share(rng, low, high, size, top=0.9):
 def _coulomb(effect, s, rng, size, beyond):
     level = _share(rng, 0.12, 0.4, size) * s.force
     unit = _units(s)[0]
-    return Drawn(effect, {"level_positive": level, "level_negative": level}, {"level": (level, unit)}, _axis(s))
+    return Drawn(effect, {"level_positive": level, "level_negative": level}, {"level": (level, unit)},
+                 _axis(s))
 
 
 def _asymmetric_coulomb(effect, s, rng, size, beyond):
@@ -170,7 +177,8 @@ def _viscous(effect, s, rng, size, beyond):
     name = "b"
     coefficient = s.plant.params[s.plant.index(name)].typical * _share(rng, 0.8, 1.6, size, 6.0)
     f, _, v, _ = _units(s)
-    return Drawn(effect, {}, {"coefficient": (coefficient, f"{f}/({v})")}, _axis(s), variant="viscous_friction",
+    return Drawn(effect, {}, {"coefficient": (coefficient, f"{f}/({v})")}, _axis(s),
+                 variant="viscous_friction",
                  trusted=(name,), p={name: coefficient}, nominal_p={name: 0.0})
 
 
@@ -206,7 +214,8 @@ def _gravity(effect, s, rng, size, beyond):
     value = _share(rng, 0.25, 0.6, size, 1.5) * s.force
     phase = rng.uniform(-math.pi, math.pi)
     f = _units(s)[0]
-    return Drawn(effect, {"gravity": value, "gravity_phase": phase}, {"level": (value, f), "phase": (phase, "rad")},
+    return Drawn(effect, {"gravity": value, "gravity_phase": phase}, {"level": (value, f),
+                                                                      "phase": (phase, "rad")},
                  _axis(s, "position"))
 
 
@@ -214,7 +223,10 @@ def _ripple(effect, s, rng, size, beyond):
     value = _share(rng, 0.2, 0.45, size, 1.2) * s.force
     turns = max(s.q_max, 1e-9)
     angular = s.plant.states[s.plant.position][1] == "rad"
-    count = float(rng.integers(6, 13)) if angular and turns > 1.5 else rng.uniform(2.5, 5.0) * 2.0 * math.pi / turns
+    if angular and turns > 1.5:
+        count = float(rng.integers(6, 13))
+    else:
+        count = rng.uniform(2.5, 5.0) * 2.0 * math.pi / turns
     phase = rng.uniform(-math.pi, math.pi)
     f, q, _, _ = _units(s)
     return Drawn(effect, {"ripple": value, "ripple_count": count, "ripple_phase": phase},
@@ -229,7 +241,8 @@ def _end_stop(effect, s, rng, size, beyond):
     damping = rng.uniform(0.05, 0.15) * 2.0 * math.sqrt(stiffness * mass)
     f, q, v, _ = _units(s)
     return Drawn(effect, {"stop_position": place, "stop_stiffness": stiffness, "stop_damping": damping},
-                 {"position": (place, q), "stiffness": (stiffness, f"{f}/{q}"), "damping": (damping, f"{f}/({v})")},
+                 {"position": (place, q), "stiffness": (stiffness, f"{f}/{q}"),
+                  "damping": (damping, f"{f}/({v})")},
                  _axis(s, "position"))
 
 
@@ -264,7 +277,8 @@ def _backlash(effect, s, rng, size, beyond):
 def _missing_inertia(effect, s, rng, size, beyond):
     first = s.plant.params[0]
     extra = _share(rng, 0.2, 0.5, size, 1.0) * s.p[0] * (0.15 if s.plant.name == "two_link_arm" else 1.0)
-    return Drawn(effect, {"extra_inertia": extra}, {"inertia": (extra, first.unit)}, _axis(s), trusted=(first.name,))
+    return Drawn(effect, {"extra_inertia": extra}, {"inertia": (extra, first.unit)}, _axis(s),
+                 trusted=(first.name,))
 
 
 def _coriolis(effect, s, rng, size, beyond):
@@ -322,7 +336,7 @@ def _channel(s, rng):
 
 def _sensor(effect, s, rng, size, beyond):
     c = _channel(s, rng)
-    name, unit = s.plant.states[s.measured[c]]
+    unit = s.plant.states[s.measured[c]][1]
     std = s.y_std[c]
     where = _output(s, c)
     base = {"sensor_channel": c}
@@ -415,7 +429,8 @@ def _tone(effect, s, rng, size, beyond):
     frequency = low * (high / low) ** rng.uniform(0.35, 0.75)
     phase = rng.uniform(-math.pi, math.pi)
     return Drawn(effect, {"tone": value, "tone_frequency": frequency, "tone_phase": phase},
-                 {"level": (value, _units(s)[0]), "frequency": (frequency, "Hz"), "phase": (phase, "rad")}, _input(s))
+                 {"level": (value, _units(s)[0]), "frequency": (frequency, "Hz"), "phase": (phase, "rad")},
+                 _input(s))
 
 
 def _parameter_drift(effect, s, rng, size, beyond):
@@ -429,17 +444,23 @@ def _parameter_drift(effect, s, rng, size, beyond):
 
 
 _DRAWS = {
-    "coulomb_friction": _coulomb, "asymmetric_coulomb_friction": _asymmetric_coulomb, "stribeck_friction": _stribeck,
-    "presliding_friction": _presliding, "load_dependent_friction": _load_dependent, "viscous_friction": _viscous,
-    "asymmetric_viscous_friction": _asymmetric_viscous, "quadratic_drag": _drag, "linear_stiffness": _stiffness,
+    "coulomb_friction": _coulomb, "asymmetric_coulomb_friction": _asymmetric_coulomb,
+    "stribeck_friction": _stribeck,
+    "presliding_friction": _presliding, "load_dependent_friction": _load_dependent,
+    "viscous_friction": _viscous,
+    "asymmetric_viscous_friction": _asymmetric_viscous, "quadratic_drag": _drag,
+    "linear_stiffness": _stiffness,
     "cubic_stiffness": _stiffness, "quadratic_stiffness": _stiffness, "gravity_torque": _gravity,
-    "position_ripple": _ripple, "end_stop": _end_stop, "hysteretic_spring": _hysteretic, "backlash": _backlash,
+    "position_ripple": _ripple, "end_stop": _end_stop, "hysteretic_spring": _hysteretic,
+    "backlash": _backlash,
     "compliance": _compliance, "missing_inertia": _missing_inertia, "coriolis_torque": _coriolis,
     "actuator_saturation": _saturation, "actuator_rate_limit": _rate_limit, "actuator_deadzone": _deadzone,
     "input_play": _play, "actuator_gain_asymmetry": _gain_asymmetry, "constant_load": _load,
     "actuator_lag": _actuator_lag, "input_delay": _delay, "sensor_saturation": _sensor,
-    "sensor_rectification": _sensor, "sensor_quantization": _sensor, "sensor_offset": _sensor, "sensor_lag": _sensor,
-    "sensor_nonlinearity": _sensor, "sensor_drift": _sensor, "square_root_outflow": _outflow, "head_offset": _head,
+    "sensor_rectification": _sensor, "sensor_quantization": _sensor, "sensor_offset": _sensor,
+    "sensor_lag": _sensor,
+    "sensor_nonlinearity": _sensor, "sensor_drift": _sensor, "square_root_outflow": _outflow,
+    "head_offset": _head,
     "leakage": _leakage, "overflow": _overflow, "radiation": _radiation, "second_thermal_mass": _second_mass,
     "periodic_disturbance": _tone, "parameter_drift": _parameter_drift,
 }

@@ -99,7 +99,8 @@ def closed_loop(plant, p, measured, n, level, rng):
 
 
 def _gains(plant, p, measured, j):
-    """One controller row (channel, Kp, Ki, Kd, limit, bias, speed channel), centre, move and pace of its task."""
+    """One controller row (channel, Kp, Ki, Kd, limit, bias, speed channel), centre, move and pace of its
+    task."""
     gains = np.zeros(7)
     gains[6] = -1.0
     design = plant.loop["design"]
@@ -153,7 +154,8 @@ def _axis_states(plant, j):
 
 
 def coloured(n, ts, cutoff, rng):
-    """Unit-variance coloured noise: white noise through two first-order low-passes at `cutoff` Hz, shape (n,)."""
+    """Unit-variance coloured noise: white noise through two first-order low-passes at `cutoff` Hz, shape
+    (n,)."""
     a = math.exp(-2.0 * math.pi * cutoff * ts)
     warm = int(6.0 / (1.0 - a)) + 10
     x = rng.standard_normal(n + warm)

@@ -1,6 +1,7 @@
 """Write a set of sealed cases: folders for the tool, a key for the scorer, and the key's hash.
 
-    python generate.py --set calibration --out DIR [--cells rich hard] [--classes single pair …] [--n N] [--key DIR]
+    python generate.py --set calibration --out DIR [--cells rich hard] [--classes single pair …] [--n N]
+    [--key DIR]
 
 The set is deterministic: a case depends on its set, cell, class and index alone. Case names say nothing.
 """
@@ -56,7 +57,8 @@ def main(argv=None):
     parser.add_argument("--key", type=Path, help="folder for the key, default OUT-key")
     parser.add_argument("--cells", nargs="+", choices=CELLS, default=list(CELLS))
     parser.add_argument("--classes", nargs="+", choices=CLASSES, default=list(CLASSES))
-    parser.add_argument("--n", type=int, help="cases per class and cell, default every id for single, else 20 to 40")
+    parser.add_argument("--n", type=int,
+                        help="cases per class and cell, default every id for single, else 20 to 40")
     args = parser.parse_args(argv)
     key_folder = args.key or args.out.with_name(args.out.name + "-key")
     for folder in (args.out, key_folder):

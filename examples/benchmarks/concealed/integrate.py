@@ -1,9 +1,11 @@
 """The truth: fine fixed steps of RK4 with located events, exact actuators and sensors (numba).
 
-Each sample is cut into `nsub` steps. Dry friction is a mode (stick, or slip to one side): a sign change of the
+Each sample is cut into `nsub` steps. Dry friction is a mode (stick, or slip to one side): a sign change of
+the
 sliding speed inside a step is located by regula falsi, speed is set to zero there, and the axis sticks until
 the force it carries exceeds breakaway. Actuator laws act on the held input: delay (whole sub-steps), play,
-dead zone, gain asymmetry, clip, rate limit, lag, all exact at the sub-step. Sensor laws act on the sampled state.
+dead zone, gain asymmetry, clip, rate limit, lag, all exact at the sub-step. Sensor laws act on the sampled
+state.
 """
 
 from __future__ import annotations
@@ -141,7 +143,8 @@ def advance(kind, x, u, p, e, w, mode, h, k, out):
 
 @njit
 def actuate(command, e, state, h, speed):
-    """Actuator chain over one sub-step; `state` = (play output, rate-limited value, lag value). Mid-step value."""
+    """Actuator chain over one sub-step; `state` = (play output, rate-limited value, lag value). Mid-step
+    value."""
     v = command
     if e[V.PLAY] > 0.0:
         state[0] = max(min(state[0], v + e[V.PLAY]), v - e[V.PLAY])
@@ -186,7 +189,8 @@ def sense(x, oidx, e, filtered, t, y):
 
 @njit
 def control_law(kind, y, r, gains, memory, ts, u):
-    """PID with filtered derivative of the measurement: gains rows = channel, Kp, Ki, Kd, limit, bias, speed channel.
+    """PID with filtered derivative of the measurement: gains rows = channel, Kp, Ki, Kd, limit, bias, speed
+    channel.
 
     A speed channel ≥ 0 feeds a measured speed to Kd in place of the derivative.
     """
@@ -285,7 +289,8 @@ class Loop:
     gains: np.ndarray
 
 
-def simulate(plant, p, e, x0, signal, *, nsub, outputs, w=None, drift=None, hold="zero", loop=None, noise=None):
+def simulate(plant, p, e, x0, signal, *, nsub, outputs, w=None, drift=None, hold="zero", loop=None,
+             noise=None):
     """One recording of the plant.
 
     Parameters
@@ -313,5 +318,6 @@ def simulate(plant, p, e, x0, signal, *, nsub, outputs, w=None, drift=None, hold
     index, factor = (-1, np.ones(1)) if drift is None else drift
     gains = np.zeros((0, 7)) if loop is None else np.ascontiguousarray(loop.gains)
     noise = np.zeros((samples, len(outputs))) if noise is None else np.ascontiguousarray(noise)
-    return run(plant.kind, N_STATES[plant.kind], np.asarray(p, float), e, np.asarray(x0, float), signal, w, factor,
+    return run(plant.kind, N_STATES[plant.kind], np.asarray(p, float), e, np.asarray(x0, float), signal, w,
+               factor,
                index, plant.ts, nsub, hold == "first", gains, noise, outputs)

@@ -1,4 +1,5 @@
-"""numba with a cache that follows *every* file with equations (numba alone follows only the caller's file)."""
+"""numba with a cache that follows *every* file with equations (numba alone follows only the caller's
+file)."""
 
 from __future__ import annotations
 
@@ -13,7 +14,8 @@ import numba
 def _stamp():
     here = Path(__file__).resolve().parent
     digest = hashlib.sha256()
-    files = [here / "vector.py", here / "laws.py", here / "integrate.py", *sorted((here / "plants").glob("*.py"))]
+    files = [here / "vector.py", here / "laws.py", here / "integrate.py",
+             *sorted((here / "plants").glob("*.py"))]
     for path in files:
         digest.update(path.read_bytes())
     return digest.hexdigest()[:16]

@@ -15,12 +15,14 @@ ALIASES = {
     "level_positive": ("level_positive", "positive", "level_plus"),
     "level_negative": ("level_negative", "negative", "level_minus"),
     "static": ("static", "static_level", "breakaway"), "velocity": ("velocity", "stribeck_velocity"),
-    "factor": ("factor", "coefficient", "ratio", "gain"), "coefficient": ("coefficient", "b", "c", "k", "value"),
+    "factor": ("factor", "coefficient", "ratio", "gain"), "coefficient": ("coefficient", "b", "c", "k",
+                                                                          "value"),
     "half_width": ("half_width", "width", "half_gap"), "half_gap": ("half_gap", "gap", "half_width"),
     "limit": ("limit", "level"), "rate": ("rate", "limit"), "delay": ("delay", "seconds"),
     "time_constant": ("time_constant", "tau"), "stiffness": ("stiffness", "k", "coefficient", "sigma"),
     "position": ("position", "gap", "limit"), "inertia": ("inertia", "mass", "extra_inertia", "load_inertia"),
-    "offset": ("offset", "head", "level"), "step": ("step", "quantum", "resolution"), "cubic": ("cubic", "coefficient"),
+    "offset": ("offset", "head", "level"), "step": ("step", "quantum", "resolution"),
+    "cubic": ("cubic", "coefficient"),
     "slope": ("slope", "rate", "drift"), "capacity": ("capacity", "heat_capacity"),
     "conductance": ("conductance", "coupling"), "yield": ("yield", "yield_displacement"),
     "wavenumber": ("wavenumber", "count", "order", "frequency"), "frequency": ("frequency",),
@@ -33,7 +35,8 @@ TOTALS = {"asymmetric_viscous_friction": ("difference", "positive", "negative"),
 
 @dataclass
 class Verdict:
-    """What one report got right. `errors` and `covered` hold one entry per parameter that could be compared."""
+    """What one report got right. `errors` and `covered` hold one entry per parameter that could be
+    compared."""
 
     case: str
     entry: dict
@@ -52,7 +55,8 @@ def judge(case, entry, report, families):
     verdict = "failed" if report is None else report["verdict"]
     found = [] if report is None or verdict not in NAMING else report.get("effects", [])
     ids = [e["id"] for e in found]
-    out = Verdict(case, entry, verdict, ids, 0.0 if report is None else float(report.get("seconds", math.nan)))
+    out = Verdict(case, entry, verdict, ids, 0.0 if report is None else float(report.get("seconds",
+                                                                                         math.nan)))
     truths = entry["effects"]
     accepted = [{t["id"], *t["equivalents"]} for t in truths]
     kin = [{families.get(i, "") for i in a} for a in accepted]
@@ -82,7 +86,8 @@ def judge(case, entry, report, families):
 
 
 def removed_share(entry, report):
-    """Share of the explainable held-out squared error that the repair removes, outputs in units of their noise.
+    """Share of the explainable held-out squared error that the repair removes, outputs in units of their
+    noise.
 
     The floor is the distance of the recording from the noise-free truth under the same input.
     """
@@ -92,7 +97,8 @@ def removed_share(entry, report):
         if floors is None or not name.startswith("test"):
             continue
         for signal, rows in outputs.items():
-            if signal not in floors or "rmse" not in rows.get("refitted", {}) or "rmse" not in rows.get("repaired", {}):
+            if signal not in floors or "rmse" not in rows.get("refitted",
+                                                              {}) or "rmse" not in rows.get("repaired", {}):
                 continue
             weight = 1.0 / entry["sigma"][signal] ** 2
             before += weight * (rows["refitted"]["rmse"] ** 2 - floors[signal] ** 2)

@@ -1,6 +1,7 @@
 """How well can the nominal simulator, refitted, imitate the truth? Gauss–Newton on noise-free outputs.
 
-This measures detectability: the rms of what is left, in units of the sensor noise, after free parameters and one
+This measures detectability: the rms of what is left, in units of the sensor noise, after free parameters and
+one
 initial state per recording have done all they can. It only fits; it knows no catalogue.
 """
 

@@ -2,7 +2,8 @@
 
     python run.py CASES -o RESULTS [--processes 2] [--timeout 900] [--retry] [--command "pwaid explain"]
 
-For each case the command gets `CASE_DIR -o RESULTS/CASE` and, for leave-one-effect-out cases, `--without ID` for
+For each case the command gets `CASE_DIR -o RESULTS/CASE` and, for leave-one-effect-out cases, `--without ID`
+for
 each id of `CASES/runs.json`. The driver sees case folders only, never the key.
 """
 
@@ -41,7 +42,8 @@ def run_one(name, cases, results, command, without, timeout):
         call += ["--without", effect]
     start = time.time()
     try:
-        done = subprocess.run(call, capture_output=True, text=True, timeout=timeout, env=os.environ | ONE_THREAD,
+        done = subprocess.run(call, capture_output=True, text=True, timeout=timeout,
+                              env=os.environ | ONE_THREAD,
                               check=False)
         code, text = done.returncode, done.stderr
     except subprocess.TimeoutExpired:
@@ -74,7 +76,8 @@ def main(argv=None):
     log = args.out / "log.jsonl"
     failed = 0
     with ThreadPoolExecutor(args.processes) as pool, log.open("a", encoding="utf-8") as lines:
-        jobs = [pool.submit(run_one, name, args.cases, args.out, shlex.split(args.command), runs.get(name, []),
+        jobs = [pool.submit(run_one, name, args.cases, args.out, shlex.split(args.command),
+                            runs.get(name, []),
                             args.timeout) for name in todo]
         for count, job in enumerate(jobs):
             row = job.result()

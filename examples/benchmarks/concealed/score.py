@@ -29,13 +29,15 @@ QUIET = ("false_name", "quiet")
 REFUSE = ("refused", "unexplained")
 MEASURES = {"single": SINGLE, "pair": PAIR, "clean": QUIET, "parameters": QUIET, "initial_state": QUIET,
             "unexcited": QUIET, "out_of_catalogue": REFUSE, "left_out": REFUSE}
-RIGHT = {"single": "exact_first", "pair": "both", "clean": "quiet", "parameters": "quiet", "initial_state": "quiet",
+RIGHT = {"single": "exact_first", "pair": "both", "clean": "quiet", "parameters": "quiet",
+         "initial_state": "quiet",
          "unexcited": "quiet", "out_of_catalogue": "refused", "left_out": "refused"}
 PAIRED = ("pair", "concealed_mask")
 
 # Issue 6: (class, measure) -> target in the rich and in the hard cell; a minus sign means "at most".
 TARGETS = {
-    ("single", "exact_first"): (0.92, 0.80), ("single", "in_set"): (0.99, 0.95), ("single", "family"): (0.98, 0.92),
+    ("single", "exact_first"): (0.92, 0.80), ("single", "in_set"): (0.99, 0.95), ("single",
+                                                                                  "family"): (0.98, 0.92),
     ("single", "refused"): (-0.10, -0.30), ("single", "removed_median"): (0.90, 0.70),
     ("single", "parameter_error_median"): (-0.03, -0.15), ("pair", "both"): (0.80, 0.55),
     ("clean", "false_name"): (-0.02, -0.05), ("parameters", "false_name"): (-0.05, -0.05),
@@ -50,7 +52,8 @@ def measures_of(name):
 
 
 def load(key_folder, seal_file, results, cases=None):
-    """Judge all results; raises ValueError when the key, a truth file or a case folder is not the sealed one."""
+    """Judge all results; raises ValueError when the key, a truth file or a case folder is not the sealed
+    one."""
     seal.check(key_folder / "key.json", seal_file)
     key = json.loads((key_folder / "key.json").read_text(encoding="utf-8"))["cases"]
     verdicts = []
@@ -76,7 +79,8 @@ def summarise(verdicts):
     for measure in measures_of(name):
         hits = sum(bool(v.facts[measure]) for v in verdicts)
         low, high = wilson(hits, n)
-        out[measure] = {"hits": hits, "rate": round(hits / n, 4), "low": round(low, 4), "high": round(high, 4)}
+        out[measure] = {"hits": hits, "rate": round(hits / n, 4), "low": round(low, 4),
+                        "high": round(high, 4)}
     removed = [v.removed for v in verdicts if v.removed is not None]
     errors = [e for v in verdicts for e in primary(v.errors)]
     covered = [c for v in verdicts for c in v.covered.values()]
@@ -86,7 +90,8 @@ def summarise(verdicts):
         out["parameter_error_median"] = round(float(np.median(errors)), 4)
     if covered:
         low, high = wilson(sum(covered), len(covered))
-        out["coverage"] = {"hits": sum(covered), "n": len(covered), "rate": round(sum(covered) / len(covered), 4),
+        out["coverage"] = {"hits": sum(covered), "n": len(covered), "rate": round(sum(covered) / len(covered),
+                                                                                  4),
                            "low": round(low, 4), "high": round(high, 4)}
     out["unmatched_parameters"] = sorted({u for v in verdicts for u in v.unmatched})
     out["seconds_median"] = round(float(np.median([v.seconds for v in verdicts])), 2)
@@ -123,13 +128,15 @@ def met(cell, name, measure, value):
 
 def table(summaries):
     """Markdown table of all groups: one row per group and measure."""
-    lines = ["| cell | class | n | measure | hits | rate | 95 % interval | target |", "|---|---|---|---|---|---|---|---|"]
+    lines = ["| cell | class | n | measure | hits | rate | 95 % interval | target |",
+             "|---|---|---|---|---|---|---|---|"]
     for label, s in summaries.items():
         cell, name = label.split("/")
         for measure, v in s.items():
             if isinstance(v, dict):
                 ok = met(cell, name, measure, v["rate"])
-                lines.append(f"| {cell} | {name} | {v.get('n', s['n'])} | {measure} | {v['hits']} | {v['rate']:.1%} | "
+                n = v.get("n", s["n"])
+                lines.append(f"| {cell} | {name} | {n} | {measure} | {v['hits']} | {v['rate']:.1%} | "
                              f"{v['low']:.1%} – {v['high']:.1%} | {_word(ok)} |")
             elif measure.endswith("_median") and measure != "seconds_median":
                 lines.append(f"| {cell} | {name} | {s['n']} | {measure} | | {v:.1%} | | "

@@ -36,7 +36,8 @@ NAMES = (
 
 INDEX = {name: i for i, name in enumerate(NAMES)}
 
-# Hidden states behind the plant's own: Dahl bristle, Bouc-Wen, second mass (position, velocity), second store.
+# Hidden states behind the plant's own: Dahl bristle, Bouc-Wen, second mass (position, velocity), second
+# store.
 N_HIDDEN = 5
 BRISTLE, BOUC, MODE_POSITION, MODE_VELOCITY, SECOND_STORE = range(N_HIDDEN)
 

@@ -44,7 +44,8 @@ def _toml(case):
     def listed(role):
         return "[" + ", ".join(f'"{r.name}.csv"' for r in case.recordings if r.role == role) + "]"
     free = "[" + ", ".join(f'"{plant.params[i].name}"' for i in case.free) + "]"
-    lines = ['simulator = "simulator.py"', 'time = "t"', f"train = {listed('train')}", f"test = {listed('test')}",
+    lines = ['simulator = "simulator.py"', 'time = "t"', f"train = {listed('train')}",
+             f"test = {listed('test')}",
              f"free_parameters = {free}"]
     if case.recipe.hold == "first":
         lines.append('hold = "first"')
@@ -87,18 +88,23 @@ def key_entry(case, name, cell, seed):
         "nominal_ratio": case.facts["nominal_ratio"], "disturbance_ratio": case.facts["disturbance_ratio"],
         "attempts": case.facts["attempts"], "sigma": dict(zip(outputs, map(float, case.sigma), strict=True)),
         "effect_vector": {n: float(v) for n, v in zip(vector.NAMES, case.e, strict=True) if v != 0.0},
-        "floor_rmse": {r.name + ".csv": dict(zip(outputs, map(float, np.sqrt(((r.y - r.free) ** 2).mean(axis=0))),
-                                                 strict=True)) for r in case.recordings},
+        "floor_rmse": {r.name + ".csv": _rms_by_output(r.y - r.free, outputs) for r in case.recordings},
     }
 
 
 def _number(case, drawn, value, unit):
-    """A true value with its unit; loads also in the unit of the input, where an offset can equally be reported."""
+    """A true value with its unit; loads also in the unit of the input, where an offset can equally be
+    reported."""
     out = {"value": float(value), "unit": unit}
     names = [q.name for q in case.plant.params]
-    if drawn.id in ("constant_load", "periodic_disturbance") and unit == case.plant.force_unit and "gain" in names:
+    if drawn.id in ("constant_load",
+                    "periodic_disturbance") and unit == case.plant.force_unit and "gain" in names:
         out["also"] = [{"value": float(value / case.p[names.index("gain")]), "unit": case.plant.inputs[0][1]}]
     return out
+
+
+def _rms_by_output(error, outputs):
+    return {n: float(np.sqrt(np.mean(e**2))) for n, e in zip(outputs, error.T, strict=True)}
 
 
 def _condition(recipe):

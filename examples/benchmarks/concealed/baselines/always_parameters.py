@@ -1,4 +1,5 @@
-"""Baseline: always "only parameters are wrong". Right on every case without an effect, useless on the others."""
+"""Baseline: always "only parameters are wrong". Right on every case without an effect, useless on the
+others."""
 
 from __future__ import annotations
 

@@ -1,4 +1,5 @@
-"""What the baselines share: reading a case folder, simulating the nominal, writing a report of the same schema."""
+"""What the baselines share: reading a case folder, simulating the nominal, writing a report of the same
+schema."""
 
 from __future__ import annotations
 
@@ -69,7 +70,8 @@ def report(verdict, effects=(), fit=None, tried=0, seconds=0.0):
 
 
 def main(diagnose, description):
-    """Command line of a baseline: `CASE_DIR -o OUT [--without ID …]`; `diagnose(folder, without)` -> report."""
+    """Command line of a baseline: `CASE_DIR -o OUT [--without ID …]`; `diagnose(folder, without)` ->
+    report."""
     parser = argparse.ArgumentParser(description=description)
     parser.add_argument("case", type=Path)
     parser.add_argument("-o", "--out", type=Path, required=True)

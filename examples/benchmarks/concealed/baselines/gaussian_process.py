@@ -1,4 +1,5 @@
-"""Baseline: nominal simulator with refitted parameters plus a Gaussian process of its residual. Error only, no name.
+"""Baseline: nominal simulator with refitted parameters plus a Gaussian process of its residual. Error only,
+no name.
 
 The process sees the simulated output and the input, now and at two lags; its training points are thinned to
 `POINTS`. Its held-out error is what a flexible correction without any physics reaches.
@@ -68,7 +69,8 @@ def refit(folder, names, theta0, fixed):
 def features(u, simulated):
     """Input and simulated output now and at the lags, shape (n, features)."""
     both = np.column_stack([u, simulated])
-    return np.column_stack([np.vstack([np.repeat(both[:1], lag, axis=0), both[: len(both) - lag]]) for lag in LAGS])
+    return np.column_stack([np.vstack([np.repeat(both[:1], lag, axis=0),
+                                       both[: len(both) - lag]]) for lag in LAGS])
 
 
 def diagnose(folder, without):
@@ -91,7 +93,8 @@ def diagnose(folder, without):
             _, u, y = folder.recordings[name]
             error = y[:, j] - test[name][:, j]
             better = error - unit * process.predict((features(u, test[name]) - mean) / spread)
-            fit.setdefault(name, {})[output] = {"refitted": {"rmse": _rms(error)}, "repaired": {"rmse": _rms(better)}}
+            fit.setdefault(name, {})[output] = {"refitted": {"rmse": _rms(error)},
+                                                "repaired": {"rmse": _rms(better)}}
     return report("unexplained", fit=fit)
 
 

@@ -1,4 +1,5 @@
-"""Baseline: always the most common effect. The catalogue is drawn evenly, so any fixed id does; Coulomb friction."""
+"""Baseline: always the most common effect. The catalogue is drawn evenly, so any fixed id does; Coulomb
+friction."""
 
 from __future__ import annotations
 

@@ -1,8 +1,11 @@
-"""Baseline: sparse regression of the smoothed derivative on a friction-aware library (SINDy discrepancy modelling).
+"""Baseline: sparse regression of the smoothed derivative on a friction-aware library (SINDy discrepancy
+modelling).
 
 For each output y the equation  ẏ = Ξ θ(y, …, u)  (levels, temperatures, currents, speeds) or
-ÿ = Ξ θ(y, ẏ, u)  (positions) is regressed: the nominal terms are free, the candidates are thresholded sequentially
-(STLSQ). Derivatives come from a Savitzky–Golay filter. The candidate with the largest share of the variance names
+ÿ = Ξ θ(y, ẏ, u)  (positions) is regressed: the nominal terms are free, the candidates are thresholded
+sequentially
+(STLSQ). Derivatives come from a Savitzky–Golay filter. The candidate with the largest share of the variance
+names
 the effect; when none reaches `MATERIAL`, the verdict is "only parameters".
 """
 
@@ -33,7 +36,8 @@ def library(q, v, u, order):
     dead = np.sign(drive) * np.maximum(np.abs(drive) - 0.25 * spread, 0.0)
     clipped = np.clip(drive - drive.mean(), -spread, spread)
     terms = {"coulomb_friction": np.sign(v), "quadratic_drag": v * np.abs(v), "constant_load": ones,
-             "actuator_deadzone": dead, "actuator_saturation": clipped, "actuator_gain_asymmetry": np.abs(drive)}
+             "actuator_deadzone": dead, "actuator_saturation": clipped,
+             "actuator_gain_asymmetry": np.abs(drive)}
     if order == 2:
         nominal.append(q)
         terms |= {"cubic_stiffness": q**3, "quadratic_stiffness": q**2, "gravity_torque": np.sin(q),
@@ -67,7 +71,7 @@ def regress(target, nominal, terms):
 def diagnose(folder, without):
     """Regress the first output's equation over all training recordings."""
     unit = next(iter(folder.outputs.values()))
-    order = 2 if unit in ("m", "rad") and "degC" not in folder.outputs.values() and not _is_level(folder) else 1
+    order = 2 if unit in ("m", "rad") and not _is_level(folder) else 1
     targets, blocks = [], []
     for name in folder.train:
         t, u, y = folder.recordings[name]
@@ -85,7 +89,8 @@ def diagnose(folder, without):
     best = sorted(shares, key=shares.get, reverse=True)[:3]
     if not best:
         return report("parameters_only", tried=len(terms))
-    return report("named", [{"id": best[0], "parameters": {}, "share_explained": shares[best[0]]}], tried=len(terms))
+    return report("named", [{"id": best[0], "parameters": {}, "share_explained": shares[best[0]]}],
+                  tried=len(terms))
 
 
 def _is_level(folder):

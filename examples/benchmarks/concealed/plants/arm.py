@@ -1,4 +1,5 @@
-"""Horizontal two-link arm; states q1, q2, w1, w2; inputs two joint torques. Friction and payload at joint 1 and 2."""
+"""Horizontal two-link arm; states q1, q2, w1, w2; inputs two joint torques. Friction and payload at joint 1
+and 2."""
 
 from __future__ import annotations
 
@@ -56,7 +57,7 @@ def _text(plant, params, measured, variant):
             f"    f2 = gain * u[1] - b2 * w2{h2}\n"
             "    det = m11 * m22 - m12 * m12\n"
             "    return np.array([w1, w2, (m22 * f1 - m12 * f2) / det, (m11 * f2 - m12 * f1) / det])")
-    note = "Inertia follows the pose." if variant == "coriolis_torque" else "Rigid links in a horizontal plane."
+    note = "Rigid links in a horizontal plane."
     return nonlinear_text(plant, params, measured, body, note)
 
 
@@ -65,7 +66,8 @@ ARM = Plant(
     states=(("q1", "rad"), ("q2", "rad"), ("w1", "rad/s"), ("w2", "rad/s")),
     inputs=(("tau1", "N m"), ("tau2", "N m")),
     params=(Param("a1", "kg m^2", 0.5, True, "inertia about joint 1 without the coupling"),
-            Param("a2", "kg m^2", 0.12, False, "coupling inertia"), Param("a3", "kg m^2", 0.16, False, "link 2"),
+            Param("a2", "kg m^2", 0.12, False, "coupling inertia"), Param("a3", "kg m^2", 0.16, False,
+                                                                          "link 2"),
             Param("b1", "N m s/rad", 1.2, True, "viscous friction, joint 1"),
             Param("b2", "N m s/rad", 0.5, True, "viscous friction, joint 2"), Param("gain", "-", 1.0, False)),
     force_unit="N m", ts=0.01, amplitude=(3.0, 1.2), bias=(0.0, 0.0), band=(0.1, 3.0),

@@ -29,7 +29,8 @@ def rhs(x, u, p, e, w, mode, dx):
         dx[1] = 0.0
     else:
         dx[0] = v
-        dx[1] = (f - laws.slip_friction(mode, v, e, p[2] * u[0])) / (p[0] + e[V.EXTRA_INERTIA] - e[V.MODE_INERTIA])
+        dx[1] = (f - laws.slip_friction(mode, v, e, p[2] * u[0])) / (p[0] + e[V.EXTRA_INERTIA]
+                                                                     - e[V.MODE_INERTIA])
     return f
 
 
@@ -42,7 +43,8 @@ def _source(extra):
         body = (f"    {names['v']} = x[1]\n"
                 f"    force = {plant.params[2].name} * u[0]{drag}{extra}\n"
                 f"    return np.array([{names['v']}, force / {names['M']}])")
-        return nonlinear_text(plant, params, measured, body, "Rigid, linear." if "sin" not in extra else "Rigid.",
+        return nonlinear_text(plant, params, measured, body, "Rigid, linear." if "sin" not in extra
+                              else "Rigid.",
                               omit)
     return text
 
@@ -58,12 +60,14 @@ TIME = ("periodic_disturbance", "sensor_drift", "parameter_drift")
 ROTARY_DRIVE = Plant(
     name="rotary_drive", title="Rotary drive: motor torque to shaft angle and speed", kind=KIND,
     states=(("theta", "rad"), ("omega", "rad/s")), inputs=(("torque", "N m"),),
-    params=(Param("J", "kg m^2", 0.02, True, "inertia"), Param("b", "N m s/rad", 0.06, True, "viscous friction"),
+    params=(Param("J", "kg m^2", 0.02, True, "inertia"), Param("b", "N m s/rad", 0.06, True,
+                                                               "viscous friction"),
             Param("gain", "-", 1.0, False, "torque constant ratio"), Param("k", "N m/rad", 0.0, False),
             Param("G", "N m", 0.0, False)),
     force_unit="N m", ts=0.01, amplitude=(0.9,), bias=(0.0,), band=(0.1, 4.0),
     measured={"position": (0,), "velocity": (1,), "both": (0, 1)}, position=0, velocity=1,
-    effects=(*FRICTION, "linear_stiffness", "cubic_stiffness", "gravity_torque", "position_ripple", "end_stop",
+    effects=(*FRICTION, "linear_stiffness", "cubic_stiffness", "gravity_torque", "position_ripple",
+             "end_stop",
              "hysteretic_spring", "compliance", "missing_inertia", *INPUT, *SENSOR, *TIME),
     source=_source(""), x0=(0.0, 0.0), x0_spread=(0.3, 0.5),
     loop={"design": "position", "bandwidth": 1.6, "move": 3.0},
@@ -87,12 +91,15 @@ MASS_SPRING_DAMPER = Plant(
     name="mass_spring_damper", title="Mass on a spring with a damper: force to position and speed", kind=KIND,
     states=(("x", "m"), ("v", "m/s")), inputs=(("force", "N"),),
     params=(Param("m", "kg", 1.5, True, "mass"), Param("b", "N s/m", 4.0, True, "damping"),
-            Param("gain", "-", 1.0, False, "actuator gain"), Param("k", "N/m", 150.0, True, "spring stiffness"),
+            Param("gain", "-", 1.0, False, "actuator gain"), Param("k", "N/m", 150.0, True,
+                                                                   "spring stiffness"),
             Param("G", "N", 0.0, False)),
     force_unit="N", ts=0.01, amplitude=(9.0,), bias=(0.0,), band=(0.15, 4.0),
     measured={"position": (0,), "velocity": (1,), "both": (0, 1)}, position=0, velocity=1,
-    effects=(*FRICTION, "cubic_stiffness", "quadratic_stiffness", "end_stop", "hysteretic_spring", "compliance",
-             "missing_inertia", "actuator_saturation", "actuator_rate_limit", "actuator_deadzone", "input_play",
+    effects=(*FRICTION, "cubic_stiffness", "quadratic_stiffness", "end_stop", "hysteretic_spring",
+             "compliance",
+             "missing_inertia", "actuator_saturation", "actuator_rate_limit", "actuator_deadzone",
+             "input_play",
              "actuator_gain_asymmetry", "constant_load", "actuator_lag", "input_delay", "sensor_saturation",
              "sensor_rectification", "sensor_quantization", "sensor_lag", "sensor_nonlinearity", *TIME),
     source=_source(" - k * x[0]"), x0=(0.0, 0.0), x0_spread=(0.02, 0.1),
@@ -103,8 +110,10 @@ PENDULUM = Plant(
     name="pendulum", title="Driven pendulum, hanging at zero: torque to angle and speed", kind=KIND,
     states=(("phi", "rad"), ("omega", "rad/s")), inputs=(("torque", "N m"),),
     params=(Param("J", "kg m^2", 0.05, True, "inertia about the pivot"),
-            Param("b", "N m s/rad", 0.06, True, "viscous friction"), Param("gain", "-", 1.0, False, "torque gain"),
-            Param("k", "N m/rad", 0.0, False), Param("mgl", "N m", 1.2, True, "gravity torque at 90 degrees")),
+            Param("b", "N m s/rad", 0.06, True, "viscous friction"), Param("gain", "-", 1.0, False,
+                                                                           "torque gain"),
+            Param("k", "N m/rad", 0.0, False), Param("mgl", "N m", 1.2, True,
+                                                     "gravity torque at 90 degrees")),
     force_unit="N m", ts=0.0125, amplitude=(0.55,), bias=(0.0,), band=(0.1, 2.5),
     measured={"position": (0,), "velocity": (1,), "both": (0, 1)}, position=0, velocity=1,
     effects=(*FRICTION, "linear_stiffness", "cubic_stiffness", "position_ripple", "end_stop",

@@ -117,6 +117,7 @@ def nonlinear_text(plant, params, measured, body, note, omit=()):
     return _TEXT.format(
         title=plant.title, note=note, module="control", parameters="\n".join(lines), unpack="\n".join(unpack),
         body=body, outputs=", ".join(f"x[{i}]" for i in measured),
-        inputs=repr([n for n, _ in plant.inputs]), output_names=repr([plant.states[i][0] + "_m" for i in measured]),
+        inputs=repr([n for n, _ in plant.inputs]), output_names=repr([plant.states[i][0]
+                                                                      + "_m" for i in measured]),
         states=repr([n for n, _ in plant.states]), name=plant.name,
     )

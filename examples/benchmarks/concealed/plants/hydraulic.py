@@ -13,7 +13,8 @@ KIND = 8
 
 @njit
 def rhs(x, u, p, e, w, mode, dx):
-    """p = mass, viscous friction, piston area, stiffness of the oil (bulk modulus / volume), valve gain, leak."""
+    """p = mass, viscous friction, piston area, stiffness of the oil (bulk modulus / volume), valve gain,
+    leak."""
     q, v, pressure = x[0], x[1], x[2]
     flow = p[4] * u[0] - p[2] * v - (p[5] + e[V.LEAK]) * pressure
     dx[2] = p[3] * flow
@@ -40,7 +41,8 @@ def _text(plant, params, measured, variant):
 
 
 HYDRAULIC_CYLINDER = Plant(
-    name="hydraulic_cylinder", title="Hydraulic cylinder: valve voltage to piston motion and pressure", kind=KIND,
+    name="hydraulic_cylinder", title="Hydraulic cylinder: valve voltage to piston motion and pressure",
+    kind=KIND,
     states=(("x", "m"), ("v", "m/s"), ("p", "Pa")), inputs=(("valve_voltage", "V"),),
     params=(Param("m", "kg", 60.0, True, "moving mass"), Param("b", "N s/m", 900.0, True, "viscous friction"),
             Param("area", "m^2", 1.0e-3, False, "piston area"),
@@ -48,10 +50,13 @@ HYDRAULIC_CYLINDER = Plant(
             Param("valve", "m^3/s/V", 4.0e-5, False, "valve gain"),
             Param("leak", "m^3/s/Pa", 2.5e-11, False, "internal leakage")),
     force_unit="N", ts=0.002, amplitude=(4.0,), bias=(0.0,), band=(0.4, 16.0),
-    measured={"position_pressure": (0, 2), "velocity": (1,), "velocity_pressure": (1, 2)}, position=0, velocity=1,
+    measured={"position_pressure": (0, 2), "velocity": (1,), "velocity_pressure": (1, 2)}, position=0,
+    velocity=1,
     effects=("coulomb_friction", "asymmetric_coulomb_friction", "stribeck_friction", "presliding_friction",
-             "viscous_friction", "quadratic_drag", "linear_stiffness", "end_stop", "leakage", "actuator_saturation",
-             "actuator_rate_limit", "actuator_deadzone", "actuator_gain_asymmetry", "constant_load", "actuator_lag",
+             "viscous_friction", "quadratic_drag", "linear_stiffness", "end_stop", "leakage",
+             "actuator_saturation",
+             "actuator_rate_limit", "actuator_deadzone", "actuator_gain_asymmetry", "constant_load",
+             "actuator_lag",
              "input_delay", "sensor_saturation", "sensor_quantization", "sensor_offset", "sensor_lag", *TIME),
     source=_text, x0=(0.0, 0.0, 0.0), x0_spread=(0.005, 0.02, 3.0e4),
     loop={"design": "flow", "bandwidth": 1.5, "move": 0.06},

@@ -77,13 +77,15 @@ def _text_cascade(plant, params, measured, variant):
 
 _COMMON = ("actuator_saturation", "actuator_rate_limit", "constant_load", "actuator_lag", "input_delay",
            "square_root_outflow", "leakage", "overflow", "sensor_saturation",
-           "sensor_quantization", "sensor_offset", "sensor_nonlinearity", "head_offset", "periodic_disturbance",
+           "sensor_quantization", "sensor_offset", "sensor_nonlinearity", "head_offset",
+           "periodic_disturbance",
            "sensor_drift", "parameter_drift")
 
 SINGLE_TANK = Plant(
     name="single_tank", title="Tank with a free outlet: pump voltage to level", kind=SINGLE,
     states=(("h", "m"),), inputs=(("pump", "V"),),
-    params=(Param("area", "m^2", 0.015, True, "cross section"), Param("gain", "m^3/s/V", 2.0e-5, False, "pump"),
+    params=(Param("area", "m^2", 0.015, True, "cross section"), Param("gain", "m^3/s/V", 2.0e-5, False,
+                                                                      "pump"),
             Param("c", "m^2.5/s", 2.0e-4, True, "outlet coefficient")),
     force_unit="m^3/s", ts=1.5, amplitude=(1.7,), bias=(4.6,), band=(0.0006, 0.02),
     measured={"level": (0,)}, position=-1, velocity=-1, effects=_COMMON, source=_text_single,
@@ -95,10 +97,12 @@ CASCADED_TANKS = Plant(
     states=(("h1", "m"), ("h2", "m")), inputs=(("pump", "V"),),
     params=(Param("area1", "m^2", 0.012, True, "cross section, upper"),
             Param("area2", "m^2", 0.014, False, "cross section, lower"),
-            Param("gain", "m^3/s/V", 2.0e-5, False, "pump"), Param("c1", "m^2.5/s", 2.2e-4, True, "upper outlet"),
+            Param("gain", "m^3/s/V", 2.0e-5, False, "pump"), Param("c1", "m^2.5/s", 2.2e-4, True,
+                                                                   "upper outlet"),
             Param("c2", "m^2.5/s", 2.1e-4, True, "lower outlet")),
     force_unit="m^3/s", ts=1.5, amplitude=(1.7,), bias=(4.6,), band=(0.0006, 0.02),
-    measured={"lower_level": (1,), "levels": (0, 1)}, position=-1, velocity=-1, effects=(*_COMMON, "sensor_lag"),
+    measured={"lower_level": (1,), "levels": (0, 1)}, position=-1, velocity=-1, effects=(*_COMMON,
+                                                                                         "sensor_lag"),
     source=_text_cascade, x0=(0.18, 0.2), x0_spread=(0.05, 0.05), switches={"square_root": 1.0},
     loop={"design": "store", "move": 0.10},
 )

@@ -13,7 +13,8 @@ KIND = 1
 
 @njit
 def rhs(x, u, p, e, w, mode, dx):
-    """p = motor inertia, load inertia, shaft stiffness, shaft damping, motor and load viscous friction, gain."""
+    """p = motor inertia, load inertia, shaft stiffness, shaft damping, motor and load viscous friction,
+    gain."""
     shaft = laws.gap_force(x[0] - x[2], x[1] - x[3], p[2], p[3], e[V.HALF_GAP])
     side = 2 * int(e[V.FRICTION_SIDE])
     motor = p[6] * u[0] - p[4] * x[1] - shaft + w
@@ -51,13 +52,16 @@ def _text(plant, params, measured, variant):
 TWO_MASS_DRIVE = Plant(
     name="two_mass_drive", title="Two-mass drive: motor torque to motor and load motion", kind=KIND,
     states=(("q_m", "rad"), ("w_m", "rad/s"), ("q_l", "rad"), ("w_l", "rad/s")), inputs=(("torque", "N m"),),
-    params=(Param("J_m", "kg m^2", 0.002, False, "motor inertia"), Param("J_l", "kg m^2", 0.006, True, "load inertia"),
-            Param("k", "N m/rad", 9.0, True, "shaft stiffness"), Param("d", "N m s/rad", 0.012, False, "shaft damping"),
+    params=(Param("J_m", "kg m^2", 0.002, False, "motor inertia"), Param("J_l", "kg m^2", 0.006, True,
+                                                                         "load inertia"),
+            Param("k", "N m/rad", 9.0, True, "shaft stiffness"), Param("d", "N m s/rad", 0.012, False,
+                                                                       "shaft damping"),
             Param("b_m", "N m s/rad", 0.012, True, "motor viscous friction"),
             Param("b_l", "N m s/rad", 0.008, False, "load viscous friction"),
             Param("gain", "-", 1.0, False, "torque gain")),
     force_unit="N m", ts=0.002, amplitude=(0.5,), bias=(0.0,), band=(0.4, 18.0),
-    measured={"motor_velocity": (1,), "both_positions": (0, 2), "both_velocities": (1, 3), "motor_position": (0,)},
+    measured={"motor_velocity": (1,), "both_positions": (0, 2), "both_velocities": (1, 3),
+              "motor_position": (0,)},
     position=0, velocity=1,
     effects=("coulomb_friction", "asymmetric_coulomb_friction", "stribeck_friction", "presliding_friction",
              "load_dependent_friction", "quadratic_drag", "backlash", "cubic_stiffness", "position_ripple",
