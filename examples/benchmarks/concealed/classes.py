@@ -35,8 +35,7 @@ REJECTED_BY_LOOP = ("coulomb_friction", "quadratic_drag", "constant_load", "actu
 LOAD_SIDE = ("coulomb_friction", "stribeck_friction", "quadratic_drag", "position_ripple",
              "presliding_friction")
 
-# Open-loop recordings of a linear plant cannot carry the difference; the key lists them, the scorer accepts
-# them.
+# On linear plants some effects give the very same outputs; the key lists them, the scorer accepts either.
 LINEAR = ("rotary_drive", "linear_drive", "mass_spring_damper", "two_mass_drive", "thermal_plant",
           "rl_circuit",
           "dc_motor", "hydraulic_cylinder")
@@ -211,12 +210,12 @@ def equivalents(case):
             same = ["actuator_lag", "sensor_lag"]
         if d.id in ("head_offset", "sensor_offset") and case.plant.name in ("single_tank", "cascaded_tanks"):
             same = ["head_offset", "sensor_offset"]
+        drifting = ("constant_load", "sensor_drift")
         steady = case.plant.name in ("mass_spring_damper", "thermal_plant")
         if linear and d.id in ("constant_load", "sensor_offset") and (steady or (single and _is_speed(case))):
             same = ["constant_load", "sensor_offset"]
-        if linear and single and not _is_speed(case) and d.id in ("constant_load",
-                                                                  "sensor_drift") and not steady:
-            same = ["constant_load", "sensor_drift"]
+        if linear and single and not _is_speed(case) and d.id in drifting and not steady:
+            same = list(drifting)
         out[d.id] = [s for s in same if s != d.id]
     return out
 
@@ -226,8 +225,7 @@ def _is_speed(case):
 
 
 def left_out_ids(case):
-    """Ids taken from the catalogue in a leave-one-effect-out run: the truth, its doubles, and laws containing
-    it."""
+    """Ids left out of the catalogue: the truth, its doubles, and the laws that contain it."""
     out = []
     for d in case.drawn:
         out += [d.id, *CONTAINED_IN.get(d.id, ()), *equivalents(case)[d.id]]

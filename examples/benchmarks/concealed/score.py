@@ -158,9 +158,9 @@ def failures(verdicts):
             truth = " + ".join(e["id"] for e in entry["effects"]) or entry["stranger"] or "nothing"
             size = ", ".join(f"{k} {m:.1f}" for k, m in entry["detectability"].items())
             said = f"{v.verdict} {v.ids}" if v.ids else v.verdict
-            lines.append(f"* `{v.case}` {entry['cell']}/{name}: {entry['plant']}, {entry['condition']}, measured "
-                         f"{', '.join(entry['measured'])}, noise {entry['noise']:.1%}; truth {truth} (size in noise: "
-                         f"{size}); said {said}")
+            where = f"{entry['cell']}/{name}: {entry['plant']}, {entry['condition']}"
+            seen = f"measured {', '.join(entry['measured'])}, noise {entry['noise']:.1%}"
+            lines.append(f"* `{v.case}` {where}, {seen}; truth {truth} (size in noise: {size}); said {said}")
     return "\n".join(lines)
 
 
