@@ -11,15 +11,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
-FOLDER = ROOT / "examples" / "benchmarks" / "concealed"
-sys.path.insert(0, str(FOLDER.parent))
+sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples" / "benchmarks"))
 
 from concealed import case as building
 from concealed import classes, generate, vector, write
 from concealed.effects import FAMILY, IDS
 from concealed.integrate import simulate
 from concealed.plants import PLANTS
+
+FOLDER = Path(generate.__file__).parent
 
 
 def run(plant, p, x0, u, **slots):

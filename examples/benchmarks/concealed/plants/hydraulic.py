@@ -48,7 +48,7 @@ HYDRAULIC_CYLINDER = Plant(
             Param("area", "m^2", 1.0e-3, False, "piston area"),
             Param("stiffness", "Pa/m^3", 2.5e11, True, "bulk modulus over volume"),
             Param("valve", "m^3/s/V", 4.0e-5, False, "valve gain"),
-            Param("leak", "m^3/s/Pa", 2.5e-11, False, "internal leakage")),
+            Param("leak", "m^3/s/Pa", 2.5e-11, False, "flow past the piston")),
     force_unit="N", ts=0.002, amplitude=(4.0,), bias=(0.0,), band=(0.4, 16.0),
     measured={"position_pressure": (0, 2), "velocity": (1,), "velocity_pressure": (1, 2)}, position=0,
     velocity=1,
