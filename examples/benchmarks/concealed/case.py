@@ -92,6 +92,7 @@ class Case:
     margins: dict
     heldout_margins: dict
     facts: dict
+    nested: dict = field(default_factory=dict)
 
 
 def build(recipe, rng):
@@ -367,6 +368,20 @@ def nominal_with(case, known):
     return p, e
 
 
+CONTAINS_COULOMB = ("asymmetric_coulomb_friction", "stribeck_friction", "presliding_friction",
+                    "load_dependent_friction")
+
+
+def _sliding_level(case, drawn):
+    """Level at which plain Coulomb friction starts when it has to imitate a richer dry friction."""
+    s = drawn.slots
+    if "load_factor" in s:
+        return 0.8 * s["load_factor"] * case.facts["scene"].force
+    if "dahl_level" in s:
+        return s["dahl_level"]
+    return 0.5 * (s["level_positive"] + s["level_negative"])
+
+
 def measure(case):
     """Fill the margins: what each effect leaves after the best refit of everything else, in units of the
     noise."""
@@ -380,6 +395,12 @@ def measure(case):
         held = refit(case.plant, fit.p, e, case.free, test, case.sigma, case.measured, hold=hold, move=False)
         name = d.id if isinstance(d, Drawn) else "everything"
         case.margins[name] = fit.ratio()
+        if name in CONTAINS_COULOMB:
+            start = dict.fromkeys(("level_positive", "level_negative"), _sliding_level(case, d))
+            rival = vector.with_values(e, start)
+            case.nested[name] = refit(case.plant, p, rival, case.free, train, case.sigma, case.measured,
+                                      hold=hold,
+                                      slots=(vector.LEVEL_POSITIVE, vector.LEVEL_NEGATIVE)).ratio()
         case.heldout_margins[name] = held.ratio()
     still = refit(case.plant, case.nominal, case.e_nominal, case.free, train, case.sigma, case.measured,
                   hold=hold,

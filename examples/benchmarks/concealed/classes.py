@@ -21,6 +21,7 @@ CONDITIONS = ("closed_loop", "sine", "disturbance")
 SEEN = 3.0  # an effect counts as visible when it leaves this many times the sensor noise after the best refit
 SEEN_HELD_OUT = 1.5
 ABOVE_DISTURBANCE = 1.5  # and this many times what the unknown disturbance does to the output
+SEEN_OVER_NESTED = 1.0  # what richer dry friction leaves after plain Coulomb friction has been fitted
 ATTEMPTS = 40
 GROWTH = (1.0, 1.0, 1.25, 1.5, 1.5, 2.0, 2.0, 3.0)
 
@@ -172,6 +173,8 @@ def _accept(name, cell, case):
             return
         floor = ABOVE_DISTURBANCE * case.facts["disturbance_ratio"]
         _need(min(margins) >= max(SEEN, floor), "the effect is too small to be seen")
+        _need(min(case.nested.values(), default=np.inf) >= max(SEEN_OVER_NESTED, floor / SEEN),
+              "plain Coulomb friction imitates the effect")
         _need(min(held) >= max(SEEN_HELD_OUT, 0.5 * floor),
               "the effect is too small on the held-out recordings")
     elif name == "parameters":

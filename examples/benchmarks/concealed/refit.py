@@ -30,7 +30,8 @@ class Fit:
         return float(np.sqrt((r**2).mean(axis=0)).max())
 
 
-def refit(plant, p, e, free, recordings, sigma, outputs, *, hold="zero", move=True, nsub=4, iterations=12):
+def refit(plant, p, e, free, recordings, sigma, outputs, *, hold="zero", move=True, slots=(), nsub=4,
+          iterations=12):
     """Refit the nominal simulator `(p, e)` to recordings by output error.
 
     Parameters
@@ -39,18 +40,23 @@ def refit(plant, p, e, free, recordings, sigma, outputs, *, hold="zero", move=Tr
         Indices of parameters that may move (by factors up to 5).
     recordings : list of (inputs, outputs, x0)
     sigma : array, shape (outputs,)
+    slots : sequence of int
+        Slots of the effect vector that share one more free factor (a rival law).
     move : bool
         False keeps the parameters and refits initial states only (held-out recordings).
     """
     free = list(free) if move else []
-    theta = np.zeros(len(free))
+    slots = list(slots)
+    theta = np.zeros(len(free) + bool(slots))
     starts = [np.array(x0, float) for _, _, x0 in recordings]
     scale = np.array([max(s, 1e-9) for s in plant.x0_spread])
 
     def residual(theta, x0, rec):
         q = np.array(p, float)
-        q[free] *= np.exp(theta)
-        _, _, y = simulate(plant, q, e, x0, rec[0], nsub=nsub, outputs=outputs, hold=hold)
+        q[free] *= np.exp(theta[:len(free)])
+        rival = e.copy()
+        rival[slots] *= np.exp(theta[-1]) if slots else 1.0
+        _, _, y = simulate(plant, q, rival, x0, rec[0], nsub=nsub, outputs=outputs, hold=hold)
         return np.clip(np.nan_to_num((y - rec[1]) / sigma, nan=1e4), -1e4, 1e4)
 
     def everything(theta, starts):
@@ -81,7 +87,7 @@ def refit(plant, p, e, free, recordings, sigma, outputs, *, hold="zero", move=Tr
         if gain < 1e-4:
             break
     q = np.array(p, float)
-    q[free] *= np.exp(theta)
+    q[free] *= np.exp(theta[:len(free)])
     return Fit(q, starts, current)
 
 

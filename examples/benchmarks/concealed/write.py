@@ -85,6 +85,7 @@ def key_entry(case, name, cell, seed):
         "free_parameters": [plant.params[i].name for i in case.free],
         "clutter": case.facts["clutter"], "clutter_ratio": case.facts["clutter_ratio"],
         "detectability": case.margins, "detectability_heldout": case.heldout_margins,
+        "detectability_over_coulomb": case.nested,
         "nominal_ratio": case.facts["nominal_ratio"], "disturbance_ratio": case.facts["disturbance_ratio"],
         "attempts": case.facts["attempts"], "sigma": dict(zip(outputs, map(float, case.sigma), strict=True)),
         "effect_vector": {n: float(v) for n, v in zip(vector.NAMES, case.e, strict=True) if v != 0.0},
