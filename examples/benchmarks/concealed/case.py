@@ -296,7 +296,7 @@ def _add_clutter(case, scene, base, rng):
                                case.recipe.hold)
                 pairs.append((u, y, rec.x0))
         size = refit(case.plant, case.p, base, case.free, pairs, case.sigma, case.measured,
-                     hold=case.recipe.hold, iterations=5).ratio()
+                     move=case.recipe.parameter_error, hold=case.recipe.hold, iterations=5).ratio()
         if size <= limit:
             break
         slots = clutter.scaled(slots, 0.8 * limit / size)
