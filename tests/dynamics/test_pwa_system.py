@@ -135,8 +135,8 @@ def test_sliding_that_is_not_affine_is_refused():
 def test_two_flows_that_part_are_flagged_as_ambiguous():
     part = PWASystem((Cell([[0.0]], [1.0], G=[[1.0]], g=[0]), Cell([[0.0]], [-1.0], G=[[-1.0]], g=[0])))
     onto = PWASystem((Cell([[0.0]], [1.0], G=[[-1.0]], g=[0.0]), Cell([[0.0]], [1.0], G=[[1.0]], g=[0.0])))
-    assert part.simulate([0.0, 0.5], None, [0.0]).states[-1,
-                                                         0] == pytest.approx(0.5)  # the first cell is taken
+    taken = part.simulate([0.0, 0.5], None, [0.0])
+    assert taken.states[-1, 0] == pytest.approx(0.5)  # the first cell
     assert not onto.simulate([0.0, 2.0], None, [-1.0]).crossings.ambiguous.any()
     corner = PWASystem((Cell(np.zeros((2, 2)), [1, 0], G=[[-1, 0]], g=[0]),
                         Cell(np.zeros((2, 2)), [1, 1], G=[[1, 0], [0, 1]], g=[0, 0]),

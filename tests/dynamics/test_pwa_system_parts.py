@@ -104,8 +104,8 @@ def test_zero_order_hold_is_exact_within_a_cell():
 
 def test_tustin_is_the_bilinear_transfer_function():
     rng = np.random.default_rng(3)
-    A, B, C, D = -np.eye(3) + 0.3 * rng.standard_normal((3, 3)), rng.standard_normal((3, 1)), [[1.0, 2,
-                                                                                                0]], [[0.4]]
+    A, B = -np.eye(3) + 0.3 * rng.standard_normal((3, 3)), rng.standard_normal((3, 1))
+    C, D = [[1.0, 2.0, 0.0]], [[0.4]]
     sampled = discretise(PWASystem((Cell(A, B=B, C=C, D=D),)), 0.05, "tustin")
     u = rng.standard_normal((200, 1))
     u[0] = 0.0  # both realisations then start from the same history
@@ -129,8 +129,10 @@ def test_tustin_error_falls_with_the_square_of_the_step():
     assert 3.5 < errors[0] / errors[1] < 4.5
 
 
-@pytest.mark.parametrize("arguments, message", [((0.0,), "positive sampling time"),
-                                                ((0.1, "euler"), "'zoh' or 'tustin'")])
+@pytest.mark.parametrize("arguments, message", [
+    ((0.0,), "positive sampling time"),
+    ((0.1, "euler"), "'zoh' or 'tustin'"),
+])  # fmt: skip
 def test_bad_sampling_is_refused(arguments, message):
     with pytest.raises(InputError, match=message):
         discretise(two_pieces(), *arguments)

@@ -53,8 +53,8 @@ def test_the_sampled_controller_is_tustins():
 def test_fast_sampling_approaches_the_continuous_loop():
     errors = []
     for rate in (10_000.0, 40_000.0):
-        run = Bench(encoder_bits=None, rate=rate).closed_loop(step_reference(0.12, rate),
-                                                              LoopController("none", rate=rate))
+        bench, controller = Bench(encoder_bits=None, rate=rate), LoopController("none", rate=rate)
+        run = bench.closed_loop(step_reference(0.12, rate), controller)
         t = run.time
         other = closed_loop("none").simulate(t, np.column_stack([run.reference, 0 * t]))
         errors.append(np.abs(run.states[:, 2] - other.states[:, 2]).max())
@@ -93,8 +93,8 @@ def test_oversampling_shows_the_same_motion():
 
 def test_standstill_is_exact_and_slip_obeys_the_law():
     friction = DryFriction(0.05, 0.08, 0.2)
-    run = Bench(motor_friction=friction, encoder_bits=None).closed_loop(step_reference(1.0),
-                                                                        LoopController("none"), oversample=40)
+    bench = Bench(motor_friction=friction, encoder_bits=None)
+    run = bench.closed_loop(step_reference(1.0), LoopController("none"), oversample=40)
     rest = run.at_rest[:, 0]
     assert rest.any() and (run.states[rest, 1] == 0).all()
     p = TwoInertia()
@@ -102,8 +102,8 @@ def test_standstill_is_exact_and_slip_obeys_the_law():
     slip = ~rest & (np.abs(run.states[:, 1]) > 0.5)
     smooth = slip[1:-1] & (run.contact[2:] == run.contact[:-2]) & (run.T_M[2:] == run.T_M[:-2])
     rate = (run.states[2:, 1] - run.states[:-2, 1])[smooth] / (2 * (run.time[1] - run.time[0]))
-    balance = (run.T_M - run.joint_torque - p.D_M * run.states[:,
-                                                               1] - friction.torque(run.states[:, 1])) / p.J_M
+    losses = p.D_M * run.states[:, 1] + friction.torque(run.states[:, 1])
+    balance = (run.T_M - run.joint_torque - losses) / p.J_M
     np.testing.assert_allclose(rate, balance[1:-1][smooth], atol=1e-3 * np.abs(rate).max())
 
 

@@ -23,7 +23,7 @@ def _array(value, shape: tuple, what: str) -> np.ndarray:
     if not fits:
         wanted = "(" + ", ".join("any" if s is None else str(s) for s in shape) + ")"
         raise InputError(f"{what} has shape {array.shape}; expected {wanted}; check the sizes of the cell's "
-                         f"matrices")
+                         "matrices")
     if not np.isfinite(array).all():
         raise InputError(f"{what} holds NaN or infinity; every entry of a cell's matrices must be finite")
     array.flags.writeable = False

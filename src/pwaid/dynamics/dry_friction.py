@@ -54,7 +54,7 @@ class DryFriction:
         static = self.coulomb if self.static is None else self.static
         if not (np.isfinite(self.coulomb) and np.isfinite(static) and 0 <= self.coulomb <= static):
             raise InputError(f"friction levels coulomb = {self.coulomb}, static = {static}; expected 0 <= "
-                             f"coulomb <= static")
+                             "coulomb <= static")
         if not (np.isfinite(self.velocity) and self.velocity > 0) or self.exponent not in (1, 2):
             raise InputError(
                 f"Stribeck velocity {self.velocity} and exponent {self.exponent}; "
@@ -279,7 +279,8 @@ def settle(drive, mode, x, u):
                     mode[1 + f] = wanted
                 else:
                     changed = _settle_friction(drive, mode, x, u, f, h, X, c) or changed
-        _series(drive, mode, x, u, h, X)
+        if drive.rows[contact] > 0:
+            _series(drive, mode, x, u, h, X)
         for row in range(drive.rows[contact]):
             tol = _contact_guard(drive, contact, row, X, c)
             if entry_sign(c, tol) < 0:

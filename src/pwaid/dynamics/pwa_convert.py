@@ -71,7 +71,7 @@ def from_nlsys(system: control.NonlinearIOSystem, cells, tol: float = 1e-8, rng=
     """
     if not system.isctime():
         raise InputError(f"system {system.name!r} is sampled with dt = {system.dt}; expected a "
-                         f"continuous-time system")
+                         "continuous-time system")
     rng = np.random.default_rng(0) if rng is None else rng
     n, m = system.nstates, system.ninputs
 

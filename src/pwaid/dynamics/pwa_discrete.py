@@ -68,7 +68,7 @@ class DiscretePWASystem:
             inside = [i for i, cell in enumerate(self.cells) if (cell.margin(x, u[k]) >= 0).all()]
             if not inside:
                 raise InputError(f"sample {k}: x = {x} lies in no cell; the cells do not cover the space "
-                                 f"there")
+                                 "there")
             cell = self.cells[inside[0]]
             states[k], outputs[k] = x, cell.output(x, u[k])
             following = u[min(k + 1, len(u) - 1)]
@@ -114,6 +114,6 @@ def _zoh(cell: Cell, dt: float):
 def _tustin(cell: Cell, dt: float):
     n = cell.A.shape[0]
     left = np.eye(n) - 0.5 * dt * cell.A
-    A, a, B = (np.linalg.solve(left, part) for part in (np.eye(n) + 0.5 * dt * cell.A, dt * cell.a,
-                                                        0.5 * dt * cell.B))
+    right = (np.eye(n) + 0.5 * dt * cell.A, dt * cell.a, 0.5 * dt * cell.B)
+    A, a, B = (np.linalg.solve(left, part) for part in right)
     return A, a, B, B

@@ -130,7 +130,7 @@ def _checked(cells, time, inputs, x0, sliding) -> tuple[np.ndarray, np.ndarray, 
         u = np.tile(u, (time.size, 1))
     if u.shape != (time.size, m):
         raise InputError(f"inputs have shape {u.shape}; expected ({time.size}, {m}): one row per time, held "
-                         f"until the next")
+                         "until the next")
     x = np.zeros(n) if x0 is None else np.array(x0, dtype=float)
     if x.shape != (n,):
         raise InputError(f"x0 has shape {x.shape}; expected ({n},), one value per state")

@@ -58,7 +58,7 @@ class PWASystem:
         sizes = [(*c.B.shape, c.C.shape[0]) for c in cells]
         if len(set(sizes)) != 1:
             raise InputError(f"cells have (states, inputs, outputs) {sizes}; expected the same sizes in "
-                             f"every cell")
+                             "every cell")
         object.__setattr__(self, "cells", cells)
         n, m, p = sizes[0]
         object.__setattr__(self, "states", _names(self.states, n, "x", "state"))

@@ -94,7 +94,7 @@ class DCMotor:
             raise InputError(f"{self}: expected inertia, torque_constant and dt above zero")
         if min(self.viscous, self.viscous + self.asymmetry, self.disturbance, self.speed_noise) < 0:
             raise InputError(f"{self}: expected viscous (in both directions), disturbance, speed_noise not "
-                             f"below zero")
+                             "below zero")
 
     def replace(self, **changes) -> DCMotor:
         """A changed copy."""
@@ -185,7 +185,7 @@ def maruta2011_dc_motor(n: int = 511_996, rng=None, motor: DCMotor | None = None
     """
     if n < 1 or hold < 1 or limit <= 0:
         raise InputError(f"n = {n}, hold = {hold}, limit = {limit}; expected n, hold >= 1 and a positive "
-                         f"limit")
+                         "limit")
     rng = np.random.default_rng(rng)
     current = np.repeat(rng.uniform(-limit, limit, -(-n // hold)), hold)[:n]
     return (DCMotor() if motor is None else motor).respond(current, rng, step_scale)

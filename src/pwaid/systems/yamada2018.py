@@ -91,8 +91,8 @@ def yamada2018_two_inertia(parameters: TwoInertia | None = None) -> PWASystem:
     def contact(side: float, name: str) -> Cell:
         return Cell(
             A=free + np.outer(push, torque), a=-side * p.K * p.beta * push, B=B,
-            G=[[0, 0, 0, side]], g=[-p.beta], C=np.vstack([motion, torque]), c=[*np.zeros(6),
-                                                                                -side * p.K * p.beta],
+            G=[[0, 0, 0, side]], g=[-p.beta], C=np.vstack([motion, torque]),
+            c=[*np.zeros(6), -side * p.K * p.beta],
             F=np.zeros((1, 4)), f=[side * p.beta], name=name,
         )  # fmt: skip
 
@@ -124,7 +124,7 @@ def pd_gains(parameters: TwoInertia | None = None, *, omega_1=2 * np.pi * 18, om
     rate = omega_1 + 2 * zeta * omega_2 - D / J
     if rate <= 0:
         raise InputError(f"these poles need 1/tau_D = {rate:.4g} 1/s, which is not positive; place the "
-                         f"poles faster")
+                         "poles faster")
     tau_D = 1.0 / rate
     K_P = J * tau_D * omega_1 * omega_2**2
     K_D = J * tau_D * (omega_2**2 + 2 * zeta * omega_2 * omega_1) - D - K_P * tau_D
@@ -186,9 +186,10 @@ def position_loop(gains: PDGains, inner: PWASystem, reference_cutoff_hz: float |
     for part in inner.cells:
         T_B = np.concatenate([[0.0, 0.0], part.D[0]])
         H = np.hstack([np.zeros((len(part.g), 2)), part.H])
-        cells.append(Cell(A=A, B=B, G=np.zeros((len(part.g), 1 + k)), g=part.g, H=H,
-                          C=[pd_x, pd_x, np.zeros(1 + k)], D=[pd_u + T_B, pd_u,
-                                                              T_B], name=part.name))  # fmt: skip
+        cells.append(Cell(
+            A=A, B=B, G=np.zeros((len(part.g), 1 + k)), g=part.g, H=H,
+            C=[pd_x, pd_x, np.zeros(1 + k)], D=[pd_u + T_B, pd_u, T_B], name=part.name,
+        ))  # fmt: skip
     states = ("z_D", "reference_filtered")[: 1 + k]
     return PWASystem(tuple(cells), states, ("reference", "theta_L", "omega_L", "omega_B"),
                      ("T_M", "T_PD", "T_B"),

@@ -103,7 +103,7 @@ class Bench:
     def __post_init__(self):
         if self.encoder_bits is not None and not 1 <= self.encoder_bits <= 40:
             raise InputError(f"encoder_bits = {self.encoder_bits}; expected 1 to 40, or None for no "
-                             f"quantisation")
+                             "quantisation")
         if self.torque_noise < 0 or self.rate <= 0:
             raise InputError(f"torque_noise = {self.torque_noise}, rate = {self.rate}; expected >= 0 and > 0")
 
@@ -126,10 +126,9 @@ class Bench:
         twist = np.array([1.0, 0, -1.0, 0])
         guards = [[(-twist, p.beta, 1), (twist, p.beta, 2)], [(twist, -p.beta, 0)], [(-twist, -p.beta, 0)]]
         bias = p.K * p.beta * push
-        return drive_tables([free, closed, closed], [np.zeros(4), -bias, bias],
-                            [[0], [1 / p.J_M], [0], [0]], guards,
-                            (1, 3), (p.J_M, p.J_L), (self.motor_friction,
-                                                     self.load_friction), step_scale)  # fmt: skip
+        frictions = (self.motor_friction, self.load_friction)
+        return drive_tables([free, closed, closed], [np.zeros(4), -bias, bias], [[0], [1 / p.J_M], [0], [0]],
+                            guards, (1, 3), (p.J_M, p.J_L), frictions, step_scale)  # fmt: skip
 
     def closed_loop(self, reference, controller: LoopController | None = None, *, x0=None,
                     oversample: int = 1,
@@ -154,7 +153,7 @@ class Bench:
         controller = LoopController(rate=self.rate) if controller is None else controller
         if controller.rate != self.rate:
             raise InputError(f"controller at {controller.rate} Hz on a bench at {self.rate} Hz; give both "
-                             f"the same rate")
+                             "the same rate")
         told = {"loop": "closed", "controller": asdict(controller)}
         return self._record(reference, controller, x0, oversample, rng, step_scale, told)
 
@@ -168,15 +167,14 @@ class Bench:
         x = np.zeros(4) if x0 is None else np.array(x0, dtype=float)
         if signal.ndim != 1 or signal.size < 2 or not np.isfinite(signal).all():
             raise InputError(f"the signal has shape {signal.shape}; expected at least 2 finite values, one "
-                             f"per control sample")
+                             "per control sample")
         if x.shape != (4,) or not np.isfinite(x).all() or oversample < 1:
             raise InputError(f"x0 = {x}, oversample = {oversample}; expected 4 finite states {STATES} and "
-                             f"at least 1")
+                             "at least 1")
         coefficients = np.zeros(9) if controller is None else controller.coefficients()
         state = np.zeros(6) if controller is None else controller.start(x[0], x[2])
         states, T_M, mode, lowest = _loop(self.drive(step_scale), signal, controller is None, coefficients,
-                                          state, x,
-                                  self.quantum, 1 / self.rate, oversample)  # fmt: skip
+                                          state, x, self.quantum, 1 / self.rate, oversample)  # fmt: skip
         check_events(lowest)
         if not np.isfinite(states).all() or np.abs(states).max() > 1e9:
             raise InputError("the loop diverged; check the signs and sizes of the controller's gains")
@@ -190,10 +188,10 @@ class Bench:
         at_rest[:, used] = mode[:, 1 : 1 + len(used)] == 0
         reference = np.zeros_like(signal) if controller is None else signal
         return BenchRun(
-            time=np.arange(len(joint)) / (self.rate * oversample), reference=np.repeat(reference,
-                                                                                       oversample), T_M=T_M,
-            theta_M=read_encoder(states[:, 0], self.quantum), theta_L=read_encoder(states[:, 2],
-                                                                     self.quantum), T_s=joint + noise,
+            time=np.arange(len(joint)) / (self.rate * oversample),
+            reference=np.repeat(reference, oversample), T_M=T_M,
+            theta_M=read_encoder(states[:, 0], self.quantum),
+            theta_L=read_encoder(states[:, 2], self.quantum), T_s=joint + noise,
             states=states, joint_torque=joint, contact=contact, at_rest=at_rest,
             description=self.describe(told),
         )  # fmt: skip
@@ -317,7 +315,7 @@ def half_gap(theta_M, theta_L, T_s=None, K: float = TwoInertia.K) -> float:
         twist = twist - np.asarray(T_s, dtype=float) / K
     if twist.ndim != 1 or twist.size < 10 or not np.isfinite(twist).all():
         raise InputError(f"angles of shape {twist.shape}; expected two finite recordings of at least 10 "
-                         f"samples")
+                         "samples")
     middle, reach = (twist.max() + twist.min()) / 2, (twist.max() - twist.min()) / 2
     upper, lower = twist[twist > middle + 0.9 * reach], twist[twist < middle - 0.9 * reach]
     if reach == 0 or min(upper.size, lower.size) < 3:

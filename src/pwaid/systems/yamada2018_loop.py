@@ -49,7 +49,7 @@ class LoopController:
             raise InputError(f"damping kind {self.kind!r}; expected one of {DAMPINGS}")
         if self.rate <= 0 or self.reference_cutoff_hz <= 0:
             raise InputError(f"rate {self.rate} and cut-off {self.reference_cutoff_hz} must be positive, in "
-                             f"Hz")
+                             "Hz")
 
     def start(self, theta_M: float = 0.0, theta_L: float = 0.0) -> np.ndarray:
         """State of the controller at rest: filtered reference, its input, PD filter, error, last angles."""
@@ -161,7 +161,7 @@ def run_loop(plant, controller: LoopController, reference, x0=None, *, substeps:
     reference = np.asarray(reference, dtype=float)
     if reference.ndim != 1 or not np.isfinite(reference).all():
         raise InputError(f"reference has shape {reference.shape}; expected finite values (N,), one per "
-                         f"control sample")
+                         "control sample")
     h, u = 1.0 / (controller.rate * substeps), np.zeros(1)
     first = np.ravel(output(0.0, x, u))
     state, torques, outputs = controller.start(first[0], first[1]), [], []
@@ -175,7 +175,7 @@ def run_loop(plant, controller: LoopController, reference, x0=None, *, substeps:
             x = _runge_kutta(rhs, t + j * h, x, u, h)
         if not np.isfinite(x).all() or np.abs(x).max() > 1e9:
             raise InputError(f"the loop diverged at t = {t:.4g} s; check the plant's signs, or raise "
-                             f"substeps")
+                             "substeps")
     return np.arange(reference.size) / controller.rate, np.array(torques), np.array(outputs)
 
 
