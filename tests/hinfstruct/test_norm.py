@@ -52,7 +52,6 @@ def test_random_systems_stay_below_the_certified_bound(n, seed):
     grid = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 40_000 // n)])
     gains = gains_at(m, grid)
     assert gains.max() <= norm.upper
-    assert gains.max() >= 0.99 * norm.value
     assert gains_at(m, norm.frequencies) == pytest.approx(norm.gains, rel=1e-9)
 
 
