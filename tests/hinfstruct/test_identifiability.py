@@ -1,4 +1,7 @@
-"""The identifiability report: groups that cannot be told apart, spread, and the warning that a residual proves little."""
+"""The identifiability report:
+
+Groups that cannot be told apart, spread, and the warning that a residual proves little.
+"""
 
 import numpy as np
 import pytest
@@ -11,7 +14,9 @@ PARAMETERS = [Parameter("m", 2.0), Parameter("c", 0.5), Parameter("k", 8.0), Par
 
 def spring(p):
     m, c, k, g = p
-    return np.array([[0, 1], [-k / m, -c / m]]), np.array([[0], [g / m]]), np.array([[1.0, 0]]), np.zeros((1, 1))
+    return np.array(
+        [[0, 1], [-k / m, -c / m]]
+    ), np.array([[0], [g / m]]), np.array([[1.0, 0]]), np.zeros((1, 1))
 
 
 def test_a_common_factor_is_found_as_one_group():

@@ -1,4 +1,7 @@
-"""M0 + kappa M1: the pattern, the closed-form start, joint identification, and the Coriolis torque from energy."""
+"""M0 + kappa M1:
+
+The pattern, the closed-form start, joint identification, and the Coriolis torque from energy.
+"""
 
 import control
 import numpy as np
@@ -23,7 +26,8 @@ def test_pattern_reproduces_the_frozen_model(arm):
 def test_pack_and_unpack_are_inverse_up_to_the_torque_unit(arm, structure):
     assert structure.size == 20 == len(structure.names)
     back = structure.unpack(structure.pack(arm))
-    assert back.M0 == pytest.approx(arm.M0) and back.M1 == pytest.approx(arm.M1) and back.gains == pytest.approx(arm.gains)
+    for name in ("M0", "M1", "stiffness", "gains"):
+        assert getattr(back, name) == pytest.approx(getattr(arm, name))
     double = InertiaLPV(2 * arm.M0, 2 * arm.M1, 2 * arm.stiffness, 2 * arm.gains, arm.output)
     assert structure.pack(double) == pytest.approx(structure.pack(arm))
     assert double.theta(0.1) == pytest.approx(arm.theta(0.1))
@@ -35,12 +39,16 @@ def test_structured_jacobian(arm, structure):
     for k in range(structure.size):
         step = 1e-6 * max(abs(p[k]), 1e-3) * np.eye(p.size)[k]
         for d, plus, minus in zip(exact, model.evaluate(p + step), model.evaluate(p - step), strict=True):
-            assert d[k] == pytest.approx((plus - minus) / (2 * step[k]), rel=1e-4, abs=1e-5 * np.abs(d[k]).max() + 1e-9)
+            assert d[k] == pytest.approx(
+                (plus - minus) / (2 * step[k]), rel=1e-4, abs=1e-5 * np.abs(d[k]).max() + 1e-9
+            )
 
 
 def test_closed_form_start_is_exact(arm, structure):
     kappas = [-0.6, 0.1, 0.8]
-    assert structure.start(kappas, [arm.theta(k) for k in kappas]) == pytest.approx(structure.pack(arm), rel=1e-7)
+    assert structure.start(
+        kappas, [arm.theta(k) for k in kappas]
+    ) == pytest.approx(structure.pack(arm), rel=1e-7)
 
 
 def test_joint_fit_from_wrong_parameters(arm, structure):
@@ -61,7 +69,10 @@ def test_frozen_simulation_agrees_with_the_general_lpv_simulator(arm):
 
 
 def test_coriolis_torque_keeps_the_energy(arm):
-    """Without loop gains and with the true angle, 1/2 dq' M dq + 1/2 v' K v is constant; frozen, it is not."""
+    """Without loop gains and with the true angle, 1/2 dq' M dq + 1/2 v' K v is constant.
+
+    Frozen, it is not.
+    """
     free = InertiaLPV(arm.M0, arm.M1, arm.stiffness, np.zeros(2), arm.output)
     drift = {}
     for coriolis in (True, False):

@@ -93,7 +93,9 @@ def test_joint_minimax_beats_two_steps(arm):
     errors = lpv_errors(fit.lpv, KAPPAS, targets)
     assert max(e.value for e in errors) == pytest.approx(fit.worst, rel=1e-6)
     two_step = LPVModel.from_parameters(arm.pattern(), fit_polynomial(KAPPAS, thetas, 1), (-0.9, 0.9))
-    assert max(e.value for e in lpv_errors(two_step, KAPPAS, targets)) == pytest.approx(fit.two_step_worst, rel=1e-6)
+    assert max(
+        e.value for e in lpv_errors(two_step, KAPPAS, targets)
+    ) == pytest.approx(fit.two_step_worst, rel=1e-6)
 
 
 def test_bad_input(quadratic, arm, tmp_path):

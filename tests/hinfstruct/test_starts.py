@@ -1,10 +1,19 @@
-"""Closed-form and null-space starts are exact on noise-free models; the printed system (34) is rank-deficient."""
+"""Closed-form and null-space starts are exact on noise-free models.
+
+The printed system (34) is rank-deficient.
+"""
 
 import numpy as np
 import pytest
 
 from pwaid.errors import InputError
-from pwaid.hinfstruct import StructuredModel, balance, null_space_start, printed_start_system, velocity_loop_start
+from pwaid.hinfstruct import (
+    StructuredModel,
+    balance,
+    null_space_start,
+    printed_start_system,
+    velocity_loop_start,
+)
 from pwaid.systems.vizer2014 import OPERATING_POINTS
 
 from .conftest import disguised, random_stable

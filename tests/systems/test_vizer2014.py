@@ -1,4 +1,7 @@
-"""The flexible arm: energy, linearisation, M0 + kappa M1, outputs, sweeps with and without the Coriolis torque."""
+"""The flexible arm:
+
+Energy, linearisation, M0 + kappa M1, outputs, sweeps with and without the Coriolis torque.
+"""
 
 import control
 import numpy as np
@@ -60,7 +63,10 @@ def test_energy_is_conserved_without_the_loop():
     q0, dq0 = np.array([0.0, 1.0, 0.02, -0.02]), np.array([2.0, -3.0, 0.0, 0.0])
     q, dq = integrate(np.zeros((3000, 2)), 1e-4, 1, q0, dq0, packed)
     springs = 4 * np.array([P.ei1 * P.l1, P.ei2 * P.l2])
-    energy = [0.5 * w @ mass(x)[0] @ w + 0.5 * springs @ x[2:] ** 2 for x, w in zip(q[::100], dq[::100], strict=True)]
+    energy = [
+        0.5 * w @ mass(x)[0] @ w + 0.5 * springs @ x[2:] ** 2
+        for x, w in zip(q[::100], dq[::100], strict=True)
+    ]
     assert np.ptp(energy) < 1e-6 * energy[0]
 
 
@@ -85,7 +91,7 @@ def test_linear_model_has_the_structure_of_the_paper():
     assert structure.size == 16 and structure.names[:2] == ("th1", "th2")
     system = vizer2014_flexible_arm_linear(np.pi / 2)
     m = structure.matrices(lpv.theta(0.0))
-    assert system.A == pytest.approx(m.A, abs=1e-6) and system.B == pytest.approx(-system.A[:, 2:4])
+    assert pytest.approx(m.A, abs=1e-6) == system.A and pytest.approx(-system.A[:, 2:4]) == system.B
     assert system.state_labels == ["v1", "v2", "dtheta1", "dtheta2", "dv1", "dv2"]
 
 
@@ -124,7 +130,7 @@ def test_prbs_is_a_maximum_length_sequence():
 def test_sweeps_need_the_coriolis_torque():
     lpv = vizer2014_flexible_arm_lpv()
     run = vizer2014_flexible_arm_sweep(1.5, amplitude=0.1, rng=0)
-    assert run.theta2[0] == pytest.approx(np.pi / 8) and run.theta2[-1] == pytest.approx(7 * np.pi / 8, rel=0.03)
+    assert run.theta2[[0, -1]] == pytest.approx([np.pi / 8, 7 * np.pi / 8], rel=0.03)
     frozen = bft(run.outputs, lpv.simulate(run.time, run.inputs, run.theta2))
     repaired = bft(run.outputs, lpv.simulate(run.time, run.inputs, run.theta2, coriolis=True))
     assert frozen[0] < 60 and repaired.min() > 99
@@ -135,7 +141,8 @@ def test_model_as_nlsys():
     system = vizer2014_flexible_arm_model(coriolis=True)
     assert system.state_labels[-1] == "theta2" and system.nstates == 7
     x0 = np.append(np.zeros(6), np.pi / 8)
-    # Inputs are held in the recording and interpolated by python-control: repeat each sample just before the next.
+    # Inputs are held in the recording and interpolated by python-control: repeat each sample just before the
+    # next.
     time = np.ravel(np.column_stack([run.time, run.time + 1e-2 - 1e-9]))
     held = np.repeat(run.inputs, 2, axis=0)
     y = control.input_output_response(

@@ -112,7 +112,9 @@ class InertiaLPV:
         """
         time, inputs, angle = check_trajectory(time, inputs, angle, self.gains.size, "angle")
         dt = time[1] - time[0]
-        fastest = max(np.abs(self.matrices(k).poles).max() for k in (np.cos(angle).min(), np.cos(angle).max()))
+        fastest = max(
+            np.abs(self.matrices(k).poles).max() for k in (np.cos(angle).min(), np.cos(angle).max())
+        )
         if fastest * dt > 2.5:
             raise InputError(
                 f"the step {dt:.3g} s is too long for a pole of {fastest:.3g} rad/s; "
