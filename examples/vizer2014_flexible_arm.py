@@ -258,6 +258,8 @@ def joint_fits(black_boxes, zoh, degrees, study: Study):
     print(f"Physics-structured fit, {structure.size} parameters: "
           f"worst parameter {100 * np.abs(mine / true - 1).max():.3f} %, "
           f"median {100 * np.median(np.abs(mine / true - 1)):.3f} %, worst H-infinity error {fit.worst:.4f}")
+    entries = np.array([fit.model.theta(k) for k in KAPPAS]) / THETAS - 1
+    print(f"  its theta at the seven points: worst entry {100 * np.abs(entries).max():.3f} %")
     return ratio[2], fit
 
 

@@ -20,7 +20,8 @@ def random_stable(n, rng, inputs=2, outputs=2, margin=0.3):
     rng = np.random.default_rng(rng)
     A = rng.standard_normal((n, n))
     A -= (np.linalg.eigvals(A).real.max() + margin) * np.eye(n)
-    return A, rng.standard_normal((n, inputs)), rng.standard_normal((outputs, n)), rng.standard_normal((outputs, inputs))
+    shapes = (n, inputs), (outputs, n), (outputs, inputs)
+    return A, *(rng.standard_normal(shape) for shape in shapes)
 
 
 @pytest.fixture(scope="session")

@@ -46,10 +46,10 @@ def test_alignment_undoes_signs_and_order():
         A = base.A[np.ix_(perm, perm)] * sign[:, None] * sign
         models.append(Matrices(A, base.B[perm] * sign[:, None], base.C[:, perm] * sign, base.D))
     for aligned in align_models(models):
-        assert aligned.A == pytest.approx(base.A)
-        assert aligned.B == pytest.approx(base.B)
+        assert pytest.approx(base.A) == aligned.A
+        assert pytest.approx(base.B) == aligned.B
     mean = average_models(models)
-    assert mean.A == pytest.approx(base.A) and mean.C == pytest.approx(base.C)
+    assert pytest.approx(base.A) == mean.A and pytest.approx(base.C) == mean.C
 
 
 def test_bad_input():
@@ -57,7 +57,7 @@ def test_bad_input():
         balance(([[1.0]], [[1.0]], [[1.0]], [[0.0]]))
     with pytest.raises(InputError, match="order = 9; expected 1 to 3"):
         balance(random_stable(3, 0), order=9)
-    with pytest.raises(InputError, match="not minimal.*order=1"):
+    with pytest.raises(InputError, match=r"not minimal.*order=1"):
         balance((np.diag([-1.0, -2.0]), [[1.0], [0.0]], [[1.0, 0.0]], [[0.0]]))
     with pytest.raises(InputError, match="no systems to average"):
         average_models([])

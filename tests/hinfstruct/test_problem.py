@@ -25,7 +25,9 @@ def test_response_slope_is_the_derivative(arm):
     for k in range(16):
         step = 1e-5 * abs(theta[k]) * np.eye(16)[k]
         ends = [frequency_response(model.matrices(theta + s), omega) for s in (step, -step)]
-        assert slope[:, k] == pytest.approx((ends[0] - ends[1]) / (2 * step[k]), abs=1e-6 * np.abs(slope[:, k]).max() + 1e-12)
+        assert slope[:, k] == pytest.approx(
+            (ends[0] - ends[1]) / (2 * step[k]), abs=1e-6 * np.abs(slope[:, k]).max() + 1e-12
+        )
 
 
 def test_gradient_of_the_value(case):

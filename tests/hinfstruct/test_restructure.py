@@ -47,7 +47,8 @@ def test_noise_free_model_is_recovered(arm):
 def test_zoh_models_meet_the_certified_lower_bound(arm, black_boxes):
     results = restructure_path(arm.pattern(), black_boxes["zoh"])
     for result, angle in zip(results, OPERATING_POINTS[4:], strict=True):
-        assert result.at_bound and result.lower_bound <= result.value <= 1.001 * result.lower_bound
+        assert result.at_bound
+        assert result.lower_bound * (1 - 1e-9) <= result.value <= 1.001 * result.lower_bound
         assert result.system.nstates == 6 and as_matrices(result.system).stable
         true = arm.matrices(np.cos(angle))
         assert hinf_norm(difference(as_matrices(result.system), true)).value < 0.01 * hinf_norm(true).value
@@ -78,7 +79,8 @@ def test_nonsmooth_methods_agree_and_equalise_the_peaks(arm, black_boxes):
 
 @pytest.mark.parametrize("method", [prox_linear, proximity_bundle])
 def test_known_minimax(method):
-    # The best constant for 1/(s + 1) is 1/2; the best first-order lag of a static gain 1 with the pole fixed likewise.
+    # The best constant for 1/(s + 1) is 1/2; the best first-order lag of a static gain 1 with the pole fixed
+    # likewise.
     model = StructuredModel.from_pattern([[-1.0]], [[0.0]], [[0.0]], [["a"]])
     problem = MatchingProblem.build(model, ([[-1.0]], [[1.0]], [[1.0]], [[0.0]]))
     run = method(problem, np.array([0.9]))
@@ -96,9 +98,15 @@ def test_continuation_helps_a_point_with_a_bad_start(arm, black_boxes):
 def test_physical_parameters_with_bounds():
     def spring(p):
         m, c, k = p
-        return np.array([[0, 1], [-k / m, -c / m]]), np.array([[0], [1 / m]]), np.array([[k, 0]]), np.zeros((1, 1))
+        return np.array(
+            [[0, 1], [-k / m, -c / m]]
+        ), np.array([[0], [1 / m]]), np.array([[k, 0]]), np.zeros((1, 1))
 
-    parameters = [Parameter("m", 1.0, "kg", 0.1, 10), Parameter("c", 1.0, "N s/m", 0.01, 5), Parameter("k", 10.0, "N/m", 1, 99)]
+    parameters = [
+        Parameter("m", 1.0, "kg", 0.1, 10),
+        Parameter("c", 1.0, "N s/m", 0.01, 5),
+        Parameter("k", 10.0, "N/m", 1, 99),
+    ]
     model = StructuredModel.from_function(spring, parameters)
     truth = model.statespace(np.array([2.0, 0.3, 30.0]))
     result = restructure(model, truth)
@@ -134,12 +142,16 @@ def test_bad_input(arm):
     with pytest.raises(InputError, match="1 models, 1 targets, 2 starts"):
         restructure_path(pattern, [arm.frozen(0.1)], starts=[None, None])
     free = StructuredModel.from_function(
-        lambda p: (np.array([[p[0]]]), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1))), [Parameter("a", -1.0)]
+        lambda p: (
+            np.array([[p[0]]]), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1))
+        ), [Parameter("a", -1.0)]
     )
     with pytest.raises(InputError, match="match_static_gain needs"):
         restructure(free, ([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), match_static_gain=True)
     stuck = StructuredModel.from_function(
-        lambda p: (np.array([[p[0]]]), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1))), [Parameter("a", 2.0, "", 1.0, 3.0)]
+        lambda p: (
+            np.array([[p[0]]]), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1))
+        ), [Parameter("a", 2.0, "", 1.0, 3.0)]
     )
     with pytest.raises(SolverError, match="every start ended in an unstable model"):
         restructure(stuck, ([[-1.0]], [[1.0]], [[1.0]], [[0.0]]))

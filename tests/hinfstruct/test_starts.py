@@ -1,10 +1,19 @@
-"""Closed-form and null-space starts are exact on noise-free models; the printed system (34) is rank-deficient."""
+"""Closed-form and null-space starts are exact on noise-free models.
+
+The printed system (34) is rank-deficient.
+"""
 
 import numpy as np
 import pytest
 
 from pwaid.errors import InputError
-from pwaid.hinfstruct import StructuredModel, balance, null_space_start, printed_start_system, velocity_loop_start
+from pwaid.hinfstruct import (
+    StructuredModel,
+    balance,
+    null_space_start,
+    printed_start_system,
+    velocity_loop_start,
+)
 from pwaid.systems.vizer2014 import OPERATING_POINTS
 
 from .conftest import disguised, random_stable
@@ -17,7 +26,7 @@ def relative(theta, true):
 @pytest.mark.parametrize("angle", OPERATING_POINTS)
 def test_both_starts_are_exact(arm, angle):
     kappa = np.cos(angle)
-    black_box = disguised(arm.matrices(kappa), 3)
+    black_box = disguised(balance(arm.frozen(kappa)).system, 3)
     true = arm.theta(kappa)
     assert relative(velocity_loop_start(black_box, arm.output), true) < 1e-10
     assert relative(null_space_start(arm.pattern(), balance(black_box).system, rng=0), true) < 1e-7

@@ -62,7 +62,12 @@ def test_feedthrough_can_be_fixed_at_zero():
 @pytest.mark.parametrize(
     ("change", "options", "message"),
     [
-        (lambda u, y: (u, np.where(np.arange(len(y))[:, None] == 3, np.nan, y)), {}, "experiment 0 contains NaN"),
+        (
+            lambda u,
+            y: (u, np.where(np.arange(len(y))[:, None] == 3, np.nan, y)),
+            {},
+            "experiment 0 contains NaN",
+        ),
         (lambda u, y: (u[:-1], y), {}, "299 input samples and 300 output samples"),
         (lambda u, y: (u[:30], y[:30]), {}, "30 samples; 20 block rows need more than 40"),
         (lambda u, y: (u[:60], y[:60]), {}, "too few samples for 20 block rows"),

@@ -111,11 +111,20 @@ class InertiaLPV:
         linearly.
         """
         time, inputs, angle = check_trajectory(time, inputs, angle, self.gains.size, "angle")
-        x0 = np.zeros(self.order) if x0 is None else np.asarray(x0, dtype=float)
-        states = _simulate(
-            self.M0, self.M1, self.stiffness, self.gains, self.joint,
-            inputs, angle, time[1] - time[0], x0, bool(coriolis),
+        dt = time[1] - time[0]
+        fastest = max(
+            np.abs(self.matrices(k).poles).max() for k in (np.cos(angle).min(), np.cos(angle).max())
         )
+        if fastest * dt > 2.5:
+            raise InputError(
+                f"the step {dt:.3g} s is too long for a pole of {fastest:.3g} rad/s; "
+                f"sample at {1.5 / fastest:.1e} s or faster"
+            )
+        x0 = np.zeros(self.order) if x0 is None else np.array(x0, dtype=float)
+        fine = np.interp(np.arange(2 * time.size - 1) / 2, np.arange(time.size), angle)
+        inverse = np.linalg.inv(self.M0 + np.cos(fine)[:, None, None] * self.M1)
+        sine = np.sin(fine) if coriolis else np.zeros(fine.size)
+        states = _simulate(inverse, self.M1, self.stiffness, self.gains, self.joint, inputs, sine, dt, x0)
         return states[:, self.stiffness.size :] @ self.output.T
 
     def to_nlsys(
@@ -136,12 +145,12 @@ class InertiaLPV:
         (states if scheduling == "state" else inputs).append(angle_name)
 
         def update(t, x, u, params):
-            angle = x[-1] if scheduling == "state" else u[-1]
-            core = np.asarray(x[: self.order], dtype=float)
-            rate = _rates(
-                self.M0, self.M1, self.stiffness, self.gains, j,
-                core, np.asarray(u[:nj], dtype=float), float(angle), coriolis,
-            )
+            angle = float(x[-1] if scheduling == "state" else u[-1])
+            inverse = np.linalg.inv(self.M0 + np.cos(angle) * self.M1)
+            sine = np.sin(angle) if coriolis else 0.0
+            core, reference = np.array(x[: self.order], dtype=float), np.array(u[:nj], dtype=float)
+            rate = np.empty(self.order)
+            _rates(inverse, self.M1, self.stiffness, self.gains, j, core, reference, sine, rate)
             return np.append(rate, x[nv + j]) if scheduling == "state" else rate
 
         return control.nlsys(
@@ -302,40 +311,54 @@ def _spread(T, nv, nj, ny):
 
 
 @numba.njit(cache=True)
-def _rates(M0, M1, stiffness, gains, joint, x, reference, angle, coriolis):
-    """dx/dt of x = (v, dtheta, dv)."""
+def _rates(inverse, M1, stiffness, gains, joint, x, reference, sine, out):
+    """dx/dt of x = (v, dtheta, dv) into ``out``; ``sine`` is sin(angle), or 0 for the frozen model."""
     nv, nj = stiffness.size, gains.size
-    dq = np.ascontiguousarray(x[nv:])
-    force = np.zeros(nj + nv)
-    for i in range(nj):
-        force[i] = gains[i] * (reference[i] - dq[i])
+    n = nv + nj
+    energy = 0.0
+    for i in range(n):
+        momentum = 0.0
+        for j in range(n):
+            momentum += M1[i, j] * x[nv + j]
+        energy += x[nv + i] * momentum
+        force = sine * x[nv + joint] * momentum
+        if i < nj:
+            force += gains[i] * (reference[i] - x[nv + i])
+        else:
+            force -= stiffness[i - nj] * x[i - nj]
+        out[nv + i] = force
+    out[nv + joint] -= 0.5 * sine * energy
+    force = out[nv:].copy()
+    for i in range(n):
+        total = 0.0
+        for j in range(n):
+            total += inverse[i, j] * force[j]
+        out[nv + i] = total
     for i in range(nv):
-        force[nj + i] = -stiffness[i] * x[i]
-    if coriolis:
-        sine = np.sin(angle)
-        momentum = M1 @ dq
-        force += sine * dq[joint] * momentum
-        force[joint] -= 0.5 * sine * (dq @ momentum)
-    rate = np.empty(x.size)
-    rate[:nv] = dq[nj:]
-    rate[nv:] = np.linalg.solve(M0 + np.cos(angle) * M1, force)
-    return rate
+        out[i] = x[nv + nj + i]
 
 
 @numba.njit(cache=True)
-def _simulate(M0, M1, stiffness, gains, joint, inputs, angle, dt, x0, coriolis):
-    n = inputs.shape[0]
-    states = np.empty((n, x0.size))
-    x = x0.copy()
+def _simulate(inverse, M1, stiffness, gains, joint, inputs, sine, dt, x0):
+    """States (N, n); ``inverse`` and ``sine`` are given at the samples and half-way between them."""
+    n, size = inputs.shape[0], x0.size
+    states = np.empty((n, size))
+    slopes = np.empty((4, size))
+    x, mid = x0.copy(), np.empty(size)
+    reach = (0.5, 0.5, 1.0)
+    at = (0, 1, 1, 2)
     for k in range(n):
-        states[k] = x
+        for i in range(size):
+            states[k, i] = x[i]
+            mid[i] = x[i]
         if k == n - 1:
             break
-        u, a0, a1 = inputs[k], angle[k], angle[k + 1]
-        half = 0.5 * (a0 + a1)
-        k1 = _rates(M0, M1, stiffness, gains, joint, x, u, a0, coriolis)
-        k2 = _rates(M0, M1, stiffness, gains, joint, x + 0.5 * dt * k1, u, half, coriolis)
-        k3 = _rates(M0, M1, stiffness, gains, joint, x + 0.5 * dt * k2, u, half, coriolis)
-        k4 = _rates(M0, M1, stiffness, gains, joint, x + dt * k3, u, a1, coriolis)
-        x = x + dt / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        for stage in range(4):
+            t = 2 * k + at[stage]
+            _rates(inverse[t], M1, stiffness, gains, joint, mid, inputs[k], sine[t], slopes[stage])
+            if stage < 3:
+                for i in range(size):
+                    mid[i] = x[i] + reach[stage] * dt * slopes[stage, i]
+        for i in range(size):
+            x[i] += dt / 6.0 * (slopes[0, i] + 2.0 * slopes[1, i] + 2.0 * slopes[2, i] + slopes[3, i])
     return states

@@ -187,9 +187,10 @@ def _largest_singular(response: np.ndarray) -> np.ndarray:
 
 
 class _Gain:
-    """sigma_max(G(j omega)) on long grids: by partial fractions where they are accurate enough, else by solving.
+    """sigma_max(G(j omega)) on long grids: by partial fractions where accurate enough, else by solving.
 
-    ``noise`` estimates the rounding error of the partial fractions, absolute; ``floor`` that of any evaluation.
+    ``noise`` estimates the rounding error of the partial fractions, absolute; ``floor`` that of any
+    evaluation.
     """
 
     def __init__(self, m: Matrices):
@@ -276,7 +277,9 @@ def _two_step(gain: _Gain, value: float, tol: float, max_iterations: int) -> tup
     )
 
 
-def _refine(gain: _Gain, centres: np.ndarray, widths: np.ndarray, value: float) -> tuple[np.ndarray, np.ndarray]:
+def _refine(
+    gain: _Gain, centres: np.ndarray, widths: np.ndarray, value: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Local maximum of the gain near each centre: sample, move to the vertex of the best parabola, shrink."""
     pattern = np.linspace(-1.0, 1.0, 9)
     best_w, widths = centres.astype(float).copy(), widths.astype(float).copy()
@@ -311,7 +314,8 @@ def _peaks(gain: _Gain, value: float, fraction: float) -> tuple[np.ndarray, np.n
     grid = _grid(m, value * fraction)
     gains = gain(grid, value, 1e-6)
     if gains.min() >= (1 - 1e-6) * value and gains_at(m, grid).min() >= (1 - 1e-12) * value:
-        return np.array([0.0, np.inf]), np.full(2, value)  # all-pass: every frequency is active, two stand for all
+        # All-pass: every frequency is active, two stand for all.
+        return np.array([0.0, np.inf]), np.full(2, value)
     left, right = np.concatenate([[-np.inf], gains[:-1]]), np.concatenate([gains[1:], [-np.inf]])
     spots = np.flatnonzero((gains >= left) & (gains >= right) & (gains >= 0.98 * fraction * value))
     edge = (grid[spots] == 0) | np.isinf(grid[spots])

@@ -338,6 +338,7 @@ def _finish(problem, fitted, candidates, method, max_iterations, point: int | No
 def _last_stage(
     problem: MatchingProblem, best: _Candidate, method: str, max_iterations, bound: float
 ) -> NonsmoothRun:
+    bound = max(bound, 1e-9 * max(hinf_norm(t).value for t in problem.targets))  # below that it is rounding
     met = best.value <= 1.001 * bound
     if met or method == "lm":
         return NonsmoothRun(best.theta, best.value, 0.0 if met else np.nan, met, np.array([best.value]))

@@ -8,6 +8,7 @@ physical parameters (`StructuredModel.from_function`), or a change of parameters
 from __future__ import annotations
 
 import re
+import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
@@ -294,8 +295,10 @@ def _complex_step(evaluate: Callable) -> Callable:
 
 def _check_analytic(evaluate: Callable, differentiate: Callable, theta: np.ndarray) -> None:
     try:
-        exact = differentiate(theta)
-    except (TypeError, ValueError) as error:
+        with warnings.catch_warnings():
+            warnings.simplefilter("error", np.exceptions.ComplexWarning)
+            exact = differentiate(theta)
+    except (TypeError, ValueError, np.exceptions.ComplexWarning) as error:
         raise InputError(
             f"the function does not accept complex parameters ({error}); avoid float() and comparisons on "
             "them, "

@@ -85,40 +85,66 @@ def mass_and_forces(q, dq, p, M, h):
     M[1, 1] += jr2
 
 
-@numba.njit(cache=True)
-def _acceleration(q, dq, reference, p, M, h):
-    """ddq under the inner velocity loop (29): torque = gain (reference - dtheta); springs 4 EI l on v."""
+@numba.njit(cache=True, error_model="numpy")
+def _acceleration(q, dq, reference, p, M, h, out):
+    """ddq under the inner velocity loop (29): torque = gain (reference - dtheta); springs 4 EI l on v.
+
+    Solved by a Cholesky factorisation in place; a state that diverged gives NaN.
+    """
     mass_and_forces(q, dq, p, M, h)
-    force = -h
-    force[0] += p[12] * (reference[0] - dq[0])
-    force[1] += p[13] * (reference[1] - dq[1])
-    force[2] -= 4.0 * p[10] * p[0] * q[2]
-    force[3] -= 4.0 * p[11] * p[1] * q[3]
-    return np.linalg.solve(M, force)
+    for i in range(4):
+        out[i] = -h[i]
+    out[0] += p[12] * (reference[0] - dq[0])
+    out[1] += p[13] * (reference[1] - dq[1])
+    out[2] -= 4.0 * p[10] * p[0] * q[2]
+    out[3] -= 4.0 * p[11] * p[1] * q[3]
+    for j in range(4):
+        for k in range(j):
+            M[j, j] -= M[j, k] * M[j, k]
+        M[j, j] = np.sqrt(M[j, j])
+        for i in range(j + 1, 4):
+            for k in range(j):
+                M[i, j] -= M[i, k] * M[j, k]
+            M[i, j] /= M[j, j]
+    for i in range(4):
+        for k in range(i):
+            out[i] -= M[i, k] * out[k]
+        out[i] /= M[i, i]
+    for i in range(3, -1, -1):
+        for k in range(i + 1, 4):
+            out[i] -= M[k, i] * out[k]
+        out[i] /= M[i, i]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, error_model="numpy")
 def integrate(references, dt, substeps, q0, dq0, p):
     """Runge-Kutta 4 with held references (N, 2); returns q and dq at the N sample times, each (N, 4)."""
     n = references.shape[0]
     q_out = np.empty((n, 4))
     dq_out = np.empty((n, 4))
     q, dq = q0.copy(), dq0.copy()
+    q_mid, dq_mid = np.empty(4), np.empty(4)
     M, h = np.empty((4, 4)), np.empty(4)
+    slopes, speeds = np.empty((4, 4)), np.empty((4, 4))  # ddq and dq of the four stages
+    reach = (0.5, 0.5, 1.0)
     step = dt / substeps
     for k in range(n):
-        q_out[k], dq_out[k] = q, dq
-        reference = references[k]
+        for i in range(4):
+            q_out[k, i], dq_out[k, i] = q[i], dq[i]
         for _ in range(substeps):
-            a1 = _acceleration(q, dq, reference, p, M, h)
-            q2, dq2 = q + 0.5 * step * dq, dq + 0.5 * step * a1
-            a2 = _acceleration(q2, dq2, reference, p, M, h)
-            q3, dq3 = q + 0.5 * step * dq2, dq + 0.5 * step * a2
-            a3 = _acceleration(q3, dq3, reference, p, M, h)
-            q4, dq4 = q + step * dq3, dq + step * a3
-            a4 = _acceleration(q4, dq4, reference, p, M, h)
-            q = q + step / 6.0 * (dq + 2.0 * dq2 + 2.0 * dq3 + dq4)
-            dq = dq + step / 6.0 * (a1 + 2.0 * a2 + 2.0 * a3 + a4)
+            for i in range(4):
+                q_mid[i], dq_mid[i] = q[i], dq[i]
+            for stage in range(4):
+                _acceleration(q_mid, dq_mid, references[k], p, M, h, slopes[stage])
+                for i in range(4):
+                    speeds[stage, i] = dq_mid[i]
+                if stage < 3:
+                    for i in range(4):
+                        q_mid[i] = q[i] + reach[stage] * step * speeds[stage, i]
+                        dq_mid[i] = dq[i] + reach[stage] * step * slopes[stage, i]
+            for i in range(4):
+                q[i] += step / 6.0 * (speeds[0, i] + 2.0 * speeds[1, i] + 2.0 * speeds[2, i] + speeds[3, i])
+                dq[i] += step / 6.0 * (slopes[0, i] + 2.0 * slopes[1, i] + 2.0 * slopes[2, i] + slopes[3, i])
     return q_out, dq_out
 
 
