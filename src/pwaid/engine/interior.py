@@ -47,6 +47,9 @@ LEAST_GAIN = 0.01
 TO_BOUNDARY = 0.99
 GOOD_STEP = 0.95
 LEAST_TARGET = 1e-6
+# Solves that make a dual point fulfil its equation: at most this many, or until the residual is rounding.
+REFINEMENTS = 3
+NEGLIGIBLE = 1e-14
 # λ − |ν| stays above this fraction of λ, so that rounding never makes it 0.
 CLEARANCE = 1e-15
 # Diagonal shifts tried, as fractions of the diagonal, when rounding makes a factorisation break down.
@@ -78,6 +81,11 @@ class Operators:
     H: sparse.csr_matrix
     c: np.ndarray
     K: NormalMatrix
+
+    @property
+    def size(self) -> float:
+        """‖c‖₁."""
+        return float(np.abs(self.c).sum())
 
     @classmethod
     def of(cls, problem: HingeProblem) -> Operators:
@@ -197,7 +205,15 @@ def begin_direction(ops: Operators, s: InteriorState) -> Direction | None:
 
 
 def dual_point(ops: Operators, progress: Progress) -> tuple[np.ndarray, np.ndarray]:
-    """(v, ν) near the iterate with Hv + Fᵀν = c to rounding, by a solve with the last factorisation."""
+    """(v, ν) near the iterate with Hv + Fᵀν = c to rounding, by solves with the last factorisation."""
     v, nu = progress.state.v, progress.state.nu
-    delta = ops.K.solve(ops.c - ops.H @ v - ops.FT @ nu)
-    return v + delta, nu + progress.weights * (ops.F @ delta)
+    left = np.inf
+    for _ in range(REFINEMENTS):
+        residual = ops.c - ops.H @ v - ops.FT @ nu
+        size = float(np.abs(residual).sum())
+        if size > 0.5 * left or size <= NEGLIGIBLE * ops.size:
+            break
+        left = size
+        delta = ops.K.solve(residual)
+        v, nu = v + delta, nu + progress.weights * (ops.F @ delta)
+    return v, nu
