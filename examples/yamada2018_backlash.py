@@ -82,7 +82,7 @@ def figures(runs, loads, portraits, directory):
     axes[0].grid(alpha=0.3)
     panel(axes[1], loads, "theta_L", "load-side angle [mrad]  (Fig. 6)", (0.0, 0.30), 1e3)
     panel(axes[2], loads, "T_s", "joint torque [N m]  (Fig. 7)", (0.0, 0.30))
-    axes[1].legend(loc="lower right")
+    axes[2].legend(loc="upper right")
     save(figure, directory / "yamada_disturbance.png", plt)
 
     figure, axes = plt.subplots(1, 2, figsize=(10, 4))

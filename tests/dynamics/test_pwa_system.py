@@ -182,6 +182,11 @@ def test_cells_are_read_only_and_replace_copies():
         cell.A[0, 0] = 2.0
     with pytest.raises(dataclasses.FrozenInstanceError):
         cell.name = "two"
+    run = PWASystem((cell,)).simulate([0.0, 1.0], None, [1.0])
+    for array in (run.states, run.outputs, run.crossings.time):
+        assert not array.flags.writeable
+    again = PWASystem((cell,)).simulate(run.time, run.inputs, run.states[0])
+    np.testing.assert_array_equal(again.states, run.states)
     assert cell.replace(name="two").name == "two" and cell.name == "one"
 
 

@@ -155,6 +155,14 @@ def test_any_plant_can_stand_in_the_loop():
         run_loop((rhs, output), LoopController(), REFERENCE)
 
 
+def test_recordings_are_read_only_and_can_be_fed_back():
+    run = IDEAL.closed_loop(REFERENCE[:200], LoopController("none"))
+    with pytest.raises(ValueError, match="read-only"):
+        run.T_M[0] = 1.0
+    again = IDEAL.open_loop(run.T_M)
+    np.testing.assert_allclose(again.states, run.states, atol=1e-12)
+
+
 def test_description_is_plain_and_complete():
     run = Bench(motor_friction=DryFriction(0.08)).closed_loop(REFERENCE[:50])
     told = json.loads(json.dumps(run.description))
@@ -165,9 +173,12 @@ def test_description_is_plain_and_complete():
 def test_one_second_takes_well_under_a_second():
     bench, reference = Bench(motor_friction=DryFriction(0.03, 0.06, 0.1)), step_reference(1.0)
     bench.closed_loop(reference[:10])
-    start = time.perf_counter()
-    bench.closed_loop(reference)
-    assert time.perf_counter() - start < 0.5
+    taken = []
+    for _ in range(5):
+        start = time.perf_counter()
+        bench.closed_loop(reference)
+        taken.append(time.perf_counter() - start)
+    assert min(taken) < 0.3
 
 
 @pytest.mark.parametrize("make, message", [

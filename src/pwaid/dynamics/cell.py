@@ -10,7 +10,7 @@ import numpy as np
 
 from pwaid.errors import InputError
 
-__all__ = ["Cell"]
+__all__ = ["Cell", "freeze"]
 
 
 def _array(value, shape: tuple, what: str) -> np.ndarray:
@@ -28,6 +28,13 @@ def _array(value, shape: tuple, what: str) -> np.ndarray:
         raise InputError(f"{what} holds NaN or infinity; every entry of a cell's matrices must be finite")
     array.flags.writeable = False
     return array
+
+
+def freeze(record) -> None:
+    """Make every array that a dataclass instance holds read-only."""
+    for value in vars(record).values():
+        if isinstance(value, np.ndarray):
+            value.flags.writeable = False
 
 
 @dataclass(frozen=True)

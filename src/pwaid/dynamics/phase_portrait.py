@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pwaid.dynamics.cell import freeze
 from pwaid.dynamics.pwa_simulation import PWATrajectory
 from pwaid.dynamics.pwa_system import PWASystem
 from pwaid.errors import InputError
@@ -39,6 +40,9 @@ class PhasePortrait:
     grid: np.ndarray
     field: np.ndarray
     cells: np.ndarray
+
+    def __post_init__(self):
+        freeze(self)
 
 
 def phase_portrait(system: PWASystem, axes, initial_states, time, inputs=None, bounds=None, shape=(21, 21),

@@ -9,7 +9,7 @@ from enum import Enum
 
 import numpy as np
 
-from pwaid.dynamics.cell import Cell
+from pwaid.dynamics.cell import Cell, freeze
 from pwaid.dynamics.flow import (
     DIVERGED,
     DONE,
@@ -62,6 +62,9 @@ class Crossings:
     guard: np.ndarray
     ambiguous: np.ndarray
 
+    def __post_init__(self):
+        freeze(self)
+
     def __len__(self) -> int:
         return self.time.size
 
@@ -100,6 +103,9 @@ class PWATrajectory:
     stop_state: np.ndarray
     message: str
 
+    def __post_init__(self):
+        freeze(self)
+
 
 def _tables(cells: list[Cell], n_ordinary: int, scale: float) -> FlowTables:
     """Every cell's matrices padded to one shape; one dummy input when there is none."""
@@ -119,7 +125,7 @@ def _tables(cells: list[Cell], n_ordinary: int, scale: float) -> FlowTables:
 def _checked(cells, time, inputs, x0, sliding) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Time, inputs and initial state as arrays of the right shape, or an error that says what is wrong."""
     n, m = cells[0].B.shape
-    time = np.ascontiguousarray(time, dtype=float)
+    time = np.array(time, dtype=float)
     if time.ndim != 1 or time.size < 2 or not np.isfinite(time).all() or not (np.diff(time) > 0).all():
         raise InputError("time must be at least two finite, strictly increasing values in seconds; sort it, "
                          "drop repeats")
@@ -140,7 +146,7 @@ def _checked(cells, time, inputs, x0, sliding) -> tuple[np.ndarray, np.ndarray, 
         raise InputError("the system has no state; evaluate it with `output` instead of simulating it")
     if sliding not in ("stop", "filippov"):
         raise InputError(f"sliding={sliding!r}; expected 'stop' or 'filippov'")
-    return time, np.ascontiguousarray(u), x
+    return time, np.array(u, order="C"), x
 
 
 class _Motion:

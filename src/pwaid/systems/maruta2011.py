@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numba import njit
 
+from pwaid.dynamics.cell import freeze
 from pwaid.dynamics.dry_friction import Drive, DryFriction, advance, check_events, drive_tables
 from pwaid.errors import InputError
 
@@ -36,6 +37,9 @@ class MotorRecording:
     speed: np.ndarray
     acceleration: np.ndarray
     true_speed: np.ndarray
+
+    def __post_init__(self):
+        freeze(self)
 
 
 @dataclass(frozen=True)
@@ -121,7 +125,7 @@ class DCMotor:
 
     def respond(self, current, rng=None, step_scale: float = 1.0) -> MotorRecording:
         """Record the response, from rest, to currents (N,) in A that are held for one sample each."""
-        current = np.ascontiguousarray(current, dtype=float)
+        current = np.array(current, dtype=float)
         if current.ndim != 1 or current.size < 1 or not np.isfinite(current).all():
             raise InputError(f"current has shape {current.shape}; expected finite values (N,), in ampere")
         rng = np.random.default_rng(rng)

@@ -109,7 +109,7 @@ class RotaryActuator:
 
     def respond(self, u, rng=None, step_scale: float = 1.0) -> np.ndarray:
         """Output ω (N,), rad/s, for the command u (N,), V, from rest; u_k acts from t_{k−1} to t_k."""
-        u = np.ascontiguousarray(u, dtype=float)
+        u = np.array(u, dtype=float)
         if u.ndim != 1 or not np.isfinite(u).all():
             raise InputError(f"u has shape {u.shape}; expected finite commands of shape (N,), in volts")
         rng = np.random.default_rng(rng)

@@ -16,6 +16,7 @@ from dataclasses import asdict, dataclass, field, replace
 import numpy as np
 from numba import njit
 
+from pwaid.dynamics.cell import freeze
 from pwaid.dynamics.dry_friction import Drive, DryFriction, advance, check_events, drive_tables
 from pwaid.errors import InputError
 from pwaid.systems.yamada2018 import TwoInertia
@@ -66,6 +67,9 @@ class BenchRun:
     contact: np.ndarray
     at_rest: np.ndarray
     description: dict
+
+    def __post_init__(self):
+        freeze(self)
 
     def columns(self) -> dict[str, np.ndarray]:
         """What the bench would store: t, reference, T_M, theta_M, theta_L, T_s; units in
@@ -163,7 +167,7 @@ class Bench:
         return self._record(torque, None, x0, oversample, rng, step_scale, {"loop": "open"})
 
     def _record(self, signal, controller, x0, oversample, rng, step_scale, told) -> BenchRun:
-        signal = np.ascontiguousarray(signal, dtype=float)
+        signal = np.array(signal, dtype=float)
         x = np.zeros(4) if x0 is None else np.array(x0, dtype=float)
         if signal.ndim != 1 or signal.size < 2 or not np.isfinite(signal).all():
             raise InputError(f"the signal has shape {signal.shape}; expected at least 2 finite values, one "
