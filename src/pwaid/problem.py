@@ -316,11 +316,20 @@ class HingeProblem:
         charge = float(np.abs(left_over).sum() * reach) + lam * self._affine_leak
         return Certificate(primal, max(0.0, t * yr - 0.5 * t * t * rr - t * charge))
 
-    def certify(self, values: np.ndarray, nu: np.ndarray, lam: float) -> tuple[Certificate, np.ndarray]:
-        """Judge ŷ and a multiplier from any solver: make them dual feasible by one linear solve first.
+    def certify(
+        self, values: np.ndarray, nu: np.ndarray, lam: float, *, weights: np.ndarray | None = None
+    ) -> tuple[Certificate, np.ndarray]:
+        """Judge ŷ and a multiplier from any solver: make them dual feasible by a linear solve first.
 
-        v solves (H + ρFᵀF) v = c + Fᵀ(ρFŷ − ν); then (v, ν + ρF(v − ŷ)) fulfils the equation of the certificate
+        v solves (H + FᵀWF) v = c + Fᵀ(WFŷ − ν); then (v, ν + WF(v − ŷ)) fulfils the equation of the certificate
         exactly, whatever the rank of A.
+
+        Parameters
+        ----------
+        values, nu, lam
+            As in `certificate`.
+        weights : ndarray, shape (n_hinges,), optional
+            The diagonal of W up to a factor: how much each multiplier may move; 1/row_norms² by default.
 
         Returns
         -------
@@ -328,14 +337,14 @@ class HingeProblem:
         nu : ndarray, shape (n_hinges,)
             The repaired multiplier.
         """
-        scaled = sparse.diags_array(1.0 / self.row_norms) @ self.F
-        rho = float(self.H.diagonal().mean() / (scaled.multiply(scaled).sum() / self.n_points))
-        move = values - self.affine_values
-        weights = rho / self.row_norms**2
-        K = (self.H + scaled.T @ scaled * rho).tocsc()
-        rhs = self.c + self.F.T @ (weights * (self.F @ move) - nu)
-        v = sparse_linalg.spsolve(K, rhs)
-        nu = nu + weights * (self.F @ (v - move))
+        weights = 1.0 / self.row_norms**2 if weights is None else weights
+        weights = weights * (self.H.diagonal().sum() / float(weights @ self.row_norms**2))
+        if not self.normal_matrix.factorise(weights) and not self.normal_matrix.factorise(weights, shift=1e-12):
+            return Certificate(self.objective(values, lam), 0.0), nu
+        v = values - self.affine_values
+        for _ in range(2):  # the second round removes the rounding of the first
+            step = self.normal_matrix.solve(self.c - self.H @ v - self.F.T @ nu)
+            v, nu = v + step, nu + weights * (self.F @ step)
         return self.certificate(values, v + self.affine_values, nu, lam), nu
 
 

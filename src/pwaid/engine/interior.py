@@ -41,8 +41,8 @@ __all__ = [
 
 # Gondzio's correctors: how many at most, how much longer a step each tries, which products it leaves alone.
 CORRECTORS = 4
-STRETCH = 0.3
-LOW, HIGH = 0.1, 10.0
+STRETCH = 0.2
+LOW, HIGH = 0.5, 10.0
 LEAST_GAIN = 0.01
 TO_BOUNDARY = 0.99
 GOOD_STEP = 0.95

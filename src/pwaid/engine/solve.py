@@ -18,6 +18,8 @@ __all__ = ["solve_engine"]
 # The iterate kept for the next λ is the first one with a gap below this: later ones lie too near the boundary.
 KEEP_AT = 0.1
 STEPS_WITHOUT_GAIN = 12
+# A state is of use for λ within this factor of its own; farther off a cold start is quicker.
+NEAR = 2.0
 
 
 def solve_engine(
@@ -41,7 +43,7 @@ def solve_engine(
     tol : float
         Largest certified relative gap (P − D)/P of the point returned.
     warm_start : InteriorState, optional
-        `Solution.state` of a neighbouring λ.
+        `Solution.state` of a λ within a factor of 2; of one farther off it is not used.
     max_iterations : int
         Factorisations at most.
 
@@ -103,6 +105,8 @@ def _begin(problem: HingeProblem, lam: float, warm_start: Any) -> InteriorState:
         return cold_start(problem, lam)
     if not isinstance(warm_start, InteriorState) or warm_start.nu.size != problem.n_hinges:
         raise InputError("warm_start is not a state of this problem and method; pass Solution.state of the same mesh")
+    if not 1.0 / NEAR <= lam / warm_start.lam <= NEAR:
+        return cold_start(problem, lam)
     return shifted(warm_start, lam)
 
 
