@@ -110,7 +110,7 @@ def _bounds(ops: Operators, affine: np.ndarray, norms: np.ndarray, tol: float) -
     lower, idle = 0.0, 0
     for _ in range(MAX_ITERATIONS):
         direction = _begin(ops, state, held)
-        if direction is None:
+        if direction is None or not direction.stiffness > 0.0:
             break
         progress = advance(direction)
         state, before = progress.state, upper - lower
