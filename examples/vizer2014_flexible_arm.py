@@ -281,6 +281,7 @@ def main() -> None:
     identify(recordings[0], recordings[0].noisy(30, 0))  # compile before timing
     black_boxes, seconds_monte_carlo = monte_carlo(recordings, study.monte_carlo)
 
+    print(f"{study.monte_carlo} x 7 identifications, both inversions: {seconds_monte_carlo:.1f} s")
     fits = {method: local_fits(black_boxes[method], validations) for method in black_boxes}
     fits["analytic"] = local_fits(ANALYTIC, validations)
     rows = {
