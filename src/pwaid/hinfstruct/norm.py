@@ -20,7 +20,7 @@ import numpy as np
 import scipy.linalg
 
 from pwaid.errors import InputError, SolverError
-from pwaid.hinfstruct.statespace import Matrices, as_matrices, frequency_response
+from pwaid.hinfstruct.statespace import Matrices, as_matrices, freeze, frequency_response
 
 __all__ = ["HinfNorm", "hinf_norm"]
 
@@ -53,6 +53,9 @@ class HinfNorm:
     gains: np.ndarray
     fraction: float
     iterations: int
+
+    def __post_init__(self):
+        freeze(self)
 
     @property
     def frequency(self) -> float:
