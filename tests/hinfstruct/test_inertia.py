@@ -103,7 +103,14 @@ def test_nlsys_with_measured_angle_agrees_with_simulate(arm):
     assert y == pytest.approx(mine[::10], abs=1e-5)
 
 
+def test_arrays_are_read_only(arm):
+    with pytest.raises(ValueError, match="read-only"):
+        arm.M0[0, 0] = 1.0
+
+
 def test_bad_input(arm, structure):
+    with pytest.raises(InputError, match="M0 contains NaN"):
+        InertiaLPV(np.full((4, 4), np.nan), arm.M1, arm.stiffness, arm.gains, arm.output)
     with pytest.raises(InputError, match="expected 'input' or 'state'"):
         arm.to_nlsys(scheduling="guess")
     with pytest.raises(InputError, match=r"for 2 joints and 2 springs"):

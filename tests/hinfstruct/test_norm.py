@@ -60,6 +60,15 @@ def test_random_systems_stay_below_the_certified_bound(n, seed):
     assert gains_at(m, norm.frequencies) == pytest.approx(norm.gains, rel=1e-9)
 
 
+@pytest.mark.parametrize("seed", range(20))
+def test_value_meets_its_certificate_and_is_a_true_gain(seed):
+    n, inputs, outputs = 2 + seed % 7, 1 + seed % 3, 1 + seed // 3 % 3
+    system = random_stable(n, 100 + seed, inputs, outputs, margin=10.0 ** -(seed % 4))
+    norm = hinf_norm(system)
+    assert norm.upper <= norm.value * (1 + 3e-10)
+    assert gains_at(as_matrices(system), norm.frequency)[0] == pytest.approx(norm.value, rel=1e-12)
+
+
 def test_grid_peaks_are_all_found():
     system = random_stable(14, 7, margin=0.02)
     norm = hinf_norm(system, fraction=0.3)

@@ -131,6 +131,13 @@ def test_levenberg_marquardt_reaches_a_noise_free_optimum(arm):
     assert problem.value(levenberg_marquardt(problem, start)) < 1e-6 * problem.value(start)
 
 
+def test_results_are_read_only(arm):
+    result = restructure(arm.pattern(), arm.frozen(0.1), start=arm.theta(0.1), method="lm")
+    for array in (result.theta, result.norm.gains, result.trace):
+        with pytest.raises(ValueError, match="read-only"):
+            array[0] = 0.0
+
+
 def test_bad_input(arm):
     pattern = arm.pattern()
     with pytest.raises(InputError, match="method = 'newton'"):
@@ -153,5 +160,7 @@ def test_bad_input(arm):
             np.array([[p[0]]]), np.ones((1, 1)), np.ones((1, 1)), np.zeros((1, 1))
         ), [Parameter("a", 2.0, "", 1.0, 3.0)]
     )
+    with pytest.raises(InputError, match=r"violates the bounds of \['a'\]"):
+        restructure(stuck, ([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), start=[9.0])
     with pytest.raises(SolverError, match="every start ended in an unstable model"):
         restructure(stuck, ([[-1.0]], [[1.0]], [[1.0]], [[0.0]]))

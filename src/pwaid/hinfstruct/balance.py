@@ -16,7 +16,7 @@ import scipy.linalg
 import scipy.optimize
 
 from pwaid.errors import InputError
-from pwaid.hinfstruct.statespace import Matrices, as_matrices, to_control
+from pwaid.hinfstruct.statespace import Matrices, as_matrices, freeze, to_control
 
 __all__ = ["Balanced", "align_models", "average_models", "balance"]
 
@@ -38,6 +38,9 @@ class Balanced:
     T: np.ndarray
     T_inverse: np.ndarray
     hankel: np.ndarray
+
+    def __post_init__(self):
+        freeze(self)
 
     @property
     def truncation_bound(self) -> float:

@@ -17,6 +17,7 @@ from pwaid.hinfstruct.problem import MatchingProblem, response_and_slope
 from pwaid.hinfstruct.proxlinear import prox_linear
 from pwaid.hinfstruct.restructure import Restructured
 from pwaid.hinfstruct.smooth import parameter_scale
+from pwaid.hinfstruct.statespace import freeze
 from pwaid.hinfstruct.structured import StructuredModel
 
 __all__ = ["Identifiability", "identifiability"]
@@ -60,6 +61,9 @@ class Identifiability:
     restart_values: np.ndarray
     slack: dict[str, float] | None
     warnings: tuple[str, ...]
+
+    def __post_init__(self):
+        freeze(self)
 
     @property
     def identifiable(self) -> bool:

@@ -23,7 +23,7 @@ import numpy as np
 
 from pwaid.errors import InputError
 from pwaid.hinfstruct.simulate import check_trajectory
-from pwaid.hinfstruct.statespace import Matrices, to_control
+from pwaid.hinfstruct.statespace import Matrices, freeze, to_control
 from pwaid.hinfstruct.structured import Parameter, StructuredModel
 
 __all__ = ["InertiaLPV", "InertiaStructure"]
@@ -55,6 +55,11 @@ class InertiaLPV:
     joint: int = 1
 
     def __post_init__(self):
+        for name in ("M0", "M1", "stiffness", "gains", "output"):
+            object.__setattr__(self, name, np.array(getattr(self, name), dtype=float))
+            if not np.isfinite(getattr(self, name)).all():
+                raise InputError(f"{name} contains NaN or infinite values; give finite numbers")
+        freeze(self)
         n = self.gains.size + self.stiffness.size
         if self.M0.shape != (n, n) or self.M1.shape != (n, n) or self.output.shape[1:] != (n,):
             raise InputError(

@@ -21,7 +21,7 @@ from pwaid.hinfstruct.norm import HinfNorm, hinf_norm
 from pwaid.hinfstruct.problem import MatchingProblem
 from pwaid.hinfstruct.proxlinear import prox_linear
 from pwaid.hinfstruct.smooth import levenberg_marquardt
-from pwaid.hinfstruct.statespace import as_matrices, difference
+from pwaid.hinfstruct.statespace import as_matrices, difference, freeze
 from pwaid.hinfstruct.structured import Parameter, StructuredModel
 
 __all__ = ["InertiaFit", "LPVFit", "fit_inertia", "fit_lpv_minimax", "lpv_errors", "polynomial_models"]
@@ -52,6 +52,9 @@ class LPVFit:
     least_squares_worst: float
     converged: bool
     predicted_decrease: float
+
+    def __post_init__(self):
+        freeze(self)
 
     @property
     def worst(self) -> float:

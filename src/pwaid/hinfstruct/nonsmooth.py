@@ -22,6 +22,7 @@ import scipy.sparse as sp
 
 from pwaid.hinfstruct.problem import ActiveSet, MatchingProblem
 from pwaid.hinfstruct.smooth import parameter_scale
+from pwaid.hinfstruct.statespace import freeze
 
 __all__ = ["NonsmoothRun", "proximity_bundle"]
 
@@ -47,6 +48,9 @@ class NonsmoothRun:
     predicted: float
     converged: bool
     trace: np.ndarray
+
+    def __post_init__(self):
+        freeze(self)
 
 
 def proximity_bundle(

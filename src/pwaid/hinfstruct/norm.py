@@ -20,7 +20,7 @@ import numpy as np
 import scipy.linalg
 
 from pwaid.errors import InputError, SolverError
-from pwaid.hinfstruct.statespace import Matrices, as_matrices, frequency_response
+from pwaid.hinfstruct.statespace import Matrices, as_matrices, freeze, frequency_response
 
 __all__ = ["HinfNorm", "hinf_norm"]
 
@@ -53,6 +53,9 @@ class HinfNorm:
     gains: np.ndarray
     fraction: float
     iterations: int
+
+    def __post_init__(self):
+        freeze(self)
 
     @property
     def frequency(self) -> float:
@@ -111,27 +114,37 @@ def hinf_norm(system, *, tol: float = 1e-10, fraction: float = 0.99, max_iterati
         continuous, back = m, lambda w: w
     scaled, unit = _scale(continuous)
     gain = _Gain(scaled) if scaled.order else None
-    value = _start(scaled, gain)
+    value, where = _start(scaled, gain)
     if gain is None or value <= gain.floor:  # a constant, or zero up to rounding (an exact difference)
         upper = value + (gain.floor if gain else 0.0)
         return HinfNorm(value, upper, np.zeros(1), np.array([value]), fraction, 0)
     count = 0
     for _ in range(5):
-        value, upper, more = _two_step(gain, value, tol, max_iterations)
+        value, where, upper, more = _two_step(gain, value, where, tol, max_iterations)
         count += more
         peaks, gains = _peaks(gain, value, min(fraction, 1 - 1e-9))
-        value = float(gains[0])
+        if gains[0] < value:  # the refined peaks miss the best frequency seen, by rounding
+            apart = np.array([not _same(w, where) for w in peaks])
+            peaks, gains = np.append(where, peaks[apart]), np.append(value, gains[apart])
+        value, where = float(gains[0]), float(peaks[0])
         if value <= upper:
             return HinfNorm(value, float(upper), back(peaks * unit), gains, fraction, count)
     raise SolverError(f"the gain {value:.12g} keeps exceeding the certified level {upper:.12g}; loosen tol")
 
 
-def _start(m: Matrices, gain: _Gain | None) -> float:
-    """A lower bound of the norm: the largest gain at 0, at infinity and around the poles."""
+def _start(m: Matrices, gain: _Gain | None) -> tuple[float, float]:
+    """A lower bound of the norm and its frequency: largest gain at 0, at infinity, around the poles."""
     grid = np.concatenate([_pole_grid(m), [0.1234, 0.7654, 1.618]])
     if gain is not None:
         grid = grid[np.argsort(-gain(grid, np.inf, 1.0))[:5]]
-    return float(np.max(gains_at(m, grid)))
+    return _highest(m, grid)
+
+
+def _highest(m: Matrices, omega: np.ndarray) -> tuple[float, float]:
+    """Largest gain over some frequencies, and where."""
+    gains = gains_at(m, omega)
+    best = int(np.argmax(gains))
+    return float(gains[best]), float(omega[best])
 
 
 def _bilinear(m: Matrices) -> Matrices:
@@ -250,28 +263,31 @@ def _middle(low: float, high: float) -> float:
     return 0.5 * (low + high)
 
 
-def _two_step(gain: _Gain, value: float, tol: float, max_iterations: int) -> tuple[float, float, int]:
+def _two_step(
+    gain: _Gain, value: float, where: float, tol: float, max_iterations: int
+) -> tuple[float, float, float, int]:
     """Raise a lower bound until no singular value reaches value (1 + 2 tol).
 
-    Returns the bound, that level, and the iterations.
+    Returns the bound, its frequency, that level, and the iterations.
     """
     for count in range(1, max_iterations + 1):
         level = value * (1 + 2 * tol)
         candidates = _crossings(gain.m, level)
         if not candidates.size:
-            return value, level, count
+            return value, where, level, count
         points = np.unique([*candidates, *(_middle(a, b) for a, b in _bands(candidates))])
         # The best few, evaluated exactly: the lower bound must be a true gain.
         rough = gain(points, value, 1e-9)
-        best = float(np.max(gains_at(gain.m, points[np.argsort(-rough)[:3]])))
+        best, best_where = _highest(gain.m, points[np.argsort(-rough)[:3]])
         if best < level:  # the candidates lie near the axis, not on it, unless the gain climbs next to them
             near = candidates[gain(candidates, value, 1e-9) > 0.5 * value]
             if near.size:
-                _, climbed = _refine(gain, near, near * 1e-3 + 1e-9, value)
-                best = max(best, float(np.max(climbed)))
+                found, _ = _refine(gain, near, near * 1e-3 + 1e-9, value)
+                best, best_where = max((best, best_where), _highest(gain.m, found))
         if best < level:
-            return max(value, best), level, count
-        value = best
+            value, where = max((value, where), (best, best_where))
+            return value, where, level, count
+        value, where = best, best_where
     raise SolverError(
         f"no certified H-infinity norm after {max_iterations} iterations; raise max_iterations or loosen tol"
     )
@@ -290,7 +306,6 @@ def _refine(
         values = gain(trial.ravel(), value, 1e-12).reshape(trial.shape)
         k = np.argmax(values, axis=1)
         better = values[rows, k] > best_g
-        gained = values[rows, k] - best_g
         best_w[better], best_g[better] = trial[rows, k][better], values[rows, k][better]
         inside = (k > 0) & (k < pattern.size - 1)
         kk = np.clip(k, 1, pattern.size - 2)
@@ -298,7 +313,8 @@ def _refine(
         bend = np.minimum(before - 2 * values[rows, kk] + after, -1e-300)
         shift = np.where(inside, np.clip(0.5 * (before - after) / bend, -1, 1), 0.0)
         centres = np.abs(np.where(inside, trial[rows, k] + shift * widths * 0.25, best_w))
-        flat = inside & (gained <= 1e-13 * best_g)
+        # Neighbours within 1e-9 of the top: the vertex of the parabola is exact to rounding.
+        flat = inside & (values[rows, kk] - np.minimum(before, after) <= 1e-9 * best_g)
         if np.all(flat | (widths <= 1e-9 * (centres + 1e-12))):
             break
         widths = widths * np.where(inside, 0.12, np.where(better, 1.0, 0.3))

@@ -17,7 +17,7 @@ import scipy.optimize
 
 from pwaid.errors import InputError, SolverError
 from pwaid.hinfstruct.smooth import parameter_scale
-from pwaid.hinfstruct.statespace import Matrices, simulate_discrete, simulate_states
+from pwaid.hinfstruct.statespace import Matrices, freeze, simulate_discrete, simulate_states
 from pwaid.hinfstruct.structured import StructuredModel
 
 __all__ = ["Polished", "polish_output_error"]
@@ -40,6 +40,9 @@ class Polished:
     rmse: np.ndarray
     rmse_start: np.ndarray
     standard_error: np.ndarray
+
+    def __post_init__(self):
+        freeze(self)
 
 
 def polish_output_error(

@@ -37,8 +37,8 @@ def prox_linear(
     Parameters
     ----------
     tol : float
-        Stop when the local model promises a relative decrease below this within relative parameter steps of
-        ``radius``.
+        Stop when the local model, with a proximity weight mu of at most 1e-3 of the value, promises a
+        relative decrease below this within relative parameter steps of ``radius``.
     fraction : float
         Peaks of at least this fraction of the norm enter the local model.
     radius : float

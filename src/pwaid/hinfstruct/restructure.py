@@ -22,7 +22,7 @@ from pwaid.hinfstruct.problem import MatchingProblem
 from pwaid.hinfstruct.proxlinear import prox_linear
 from pwaid.hinfstruct.smooth import lbfgs, levenberg_marquardt, parameter_scale
 from pwaid.hinfstruct.starts import null_space_start
-from pwaid.hinfstruct.statespace import Matrices, as_matrices, difference
+from pwaid.hinfstruct.statespace import Matrices, as_matrices, difference, freeze
 from pwaid.hinfstruct.structured import StructuredModel
 
 __all__ = ["METHODS", "Restructured", "restructure", "restructure_path"]
@@ -52,7 +52,8 @@ class Restructured:
         The lower bound is met within 0.1 %, or the nonsmooth method ended with no decrease left in its local
         model.
     predicted_decrease : float
-        That remaining relative decrease.
+        That remaining relative decrease, of the local model with its proximity term; ``stationarity`` is
+        the measure without one.
     start : str
         Which start led here.
     starts : tuple of (name, value)
@@ -73,6 +74,9 @@ class Restructured:
     start: str
     starts: tuple[tuple[str, float], ...]
     trace: np.ndarray = field(repr=False)
+
+    def __post_init__(self):
+        freeze(self)
 
     @property
     def value(self) -> float:
@@ -148,6 +152,7 @@ def restructure(
     SolverError
         Every start ended in an unstable model.
     """
+    _check_method(method)
     given = as_matrices(target, "target")
     problem, fitted = _problem(model, given, match_static_gain)
     rng = np.random.default_rng(rng)
@@ -188,6 +193,7 @@ def restructure_path(
     SolverError
         A point stayed unstable from every start.
     """
+    _check_method(method)
     targets = [as_matrices(t, f"target {i}") for i, t in enumerate(targets)]
     models = [models] * len(targets) if isinstance(models, StructuredModel) else list(models)
     starts = [None] * len(targets) if starts is None else list(starts)
@@ -222,6 +228,11 @@ def restructure_path(
     return results
 
 
+def _check_method(method: str) -> None:
+    if method not in METHODS:
+        raise InputError(f"method = {method!r}; expected one of {METHODS}")
+
+
 def _problem(
     model: StructuredModel, target: Matrices, match_static_gain: bool
 ) -> tuple[MatchingProblem, MatchingProblem]:
@@ -242,8 +253,16 @@ def _problem(
 def _starts(model: StructuredModel, target: Matrices, start, rng) -> list[tuple[str, np.ndarray]]:
     chosen = []
     if start is not None:
-        listed = [start] if np.ndim(start) == 1 and np.isscalar(np.ravel(start)[0]) else list(start)
-        chosen += [(f"given {k + 1}", model.check(s)) for k, s in enumerate(listed)]
+        listed = [start] if all(np.ndim(s) == 0 for s in start) else list(start)
+        low, high = model.bounds
+        for k, theta in enumerate(listed):
+            theta = model.check(theta)
+            outside = [n for n, t, a, b in zip(model.names, theta, low, high, strict=True) if not a <= t <= b]
+            if outside:
+                raise InputError(
+                    f"start {k + 1} violates the bounds of {outside}; move it inside, or widen the bounds"
+                )
+            chosen.append((f"given {k + 1}", theta))
     if np.isfinite(model.nominal).all():
         chosen.append(("nominal", model.nominal))
     if model.affine:
@@ -265,6 +284,7 @@ def _descend(problem: MatchingProblem, starts) -> list[_Candidate]:
     """Levenberg-Marquardt from each start; the better one of start and end counts."""
     out = []
     for name, theta in starts:
+        theta = np.clip(theta, *problem.bounds)
         end = levenberg_marquardt(problem, theta)
         options = [(problem.value(t), t) for t in (end, theta)]
         value, best = min(options, key=lambda o: o[0])
@@ -305,8 +325,6 @@ def _exchange(problems, found: list[list[_Candidate]], sweeps: int = 3) -> None:
 
 def _finish(problem, fitted, candidates, method, max_iterations, point: int | None = None) -> Restructured:
     """The last stage from the best candidate, and the certificates."""
-    if method not in METHODS:
-        raise InputError(f"method = {method!r}; expected one of {METHODS}")
     best = min(candidates, key=lambda c: c.value)
     if not np.isfinite(best.value):
         where = "" if point is None else f"point {point}: "

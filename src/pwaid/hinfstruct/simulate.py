@@ -16,8 +16,8 @@ __all__ = ["check_trajectory", "simulate_lpv"]
 def check_trajectory(time, inputs, schedule, n_inputs: int, name: str = "kappa"):
     """Time (N,), inputs (N, n_inputs) and schedule (N,) as float arrays on a uniform grid."""
     time = np.asarray(time, dtype=float)
-    inputs = np.ascontiguousarray(inputs, dtype=float)
-    schedule = np.ascontiguousarray(schedule, dtype=float)
+    inputs = np.array(inputs, dtype=float, order="C")  # copies: one compiled signature, read-only or not
+    schedule = np.array(schedule, dtype=float, order="C")
     inputs = inputs.reshape(len(inputs), -1)
     fits = inputs.shape == (time.size, n_inputs) and schedule.shape == time.shape
     if time.ndim != 1 or time.size < 2 or not fits:

@@ -19,6 +19,15 @@ from pwaid.errors import InputError
 __all__ = ["Matrices", "as_matrices", "difference", "frequency_response", "simulate_discrete", "to_control"]
 
 
+def freeze(instance) -> None:
+    """Replace every array of a frozen dataclass by a read-only copy."""
+    for name, value in vars(instance).items():
+        if isinstance(value, np.ndarray):
+            copy = np.array(value, order="C")
+            copy.flags.writeable = False
+            object.__setattr__(instance, name, copy)
+
+
 class Matrices(NamedTuple):
     """State-space matrices A (n, n), B (n, nu), C (ny, n), D (ny, nu) and the sampling time in seconds (0:
 
@@ -165,7 +174,7 @@ def simulate_discrete(m: Matrices, inputs: np.ndarray, x0: np.ndarray | None = N
 
 def simulate_states(A: np.ndarray, drive: np.ndarray, x0: np.ndarray) -> np.ndarray:
     """States (N, n) of x+ = A x + drive(k)."""
-    return _run(np.ascontiguousarray(A), np.ascontiguousarray(drive), x0)
+    return _run(np.array(A, order="C"), np.array(drive, order="C"), np.array(x0))
 
 
 @numba.njit(cache=True)

@@ -21,7 +21,7 @@ import numba
 import numpy as np
 
 from pwaid.errors import InputError
-from pwaid.hinfstruct.statespace import Matrices, to_control
+from pwaid.hinfstruct.statespace import Matrices, freeze, to_control
 
 __all__ = ["SubspaceModel", "pi_moesp", "po_moesp"]
 
@@ -52,6 +52,9 @@ class SubspaceModel:
     block_rows: int
     method: str
     stable: bool
+
+    def __post_init__(self):
+        freeze(self)
 
     @property
     def gap(self) -> float:
@@ -191,7 +194,7 @@ def _regress(A, C, experiments, feedthrough):
     start = 0
     for e, (u, _) in enumerate(experiments):
         rows = slice(start, start + len(u))
-        states, free_motion = _unit_responses(np.ascontiguousarray(A), np.ascontiguousarray(u))
+        states, free_motion = _unit_responses(np.array(A, order="C"), np.array(u, order="C"))
         regressors[rows, :, : n * nu] = np.einsum("yn,knc->kyc", C, states)
         if feedthrough:
             regressors[rows, :, n * nu : free] = np.einsum(

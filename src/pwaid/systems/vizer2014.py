@@ -18,6 +18,7 @@ import numpy as np
 
 from pwaid.errors import InputError
 from pwaid.hinfstruct.inertia import InertiaLPV
+from pwaid.hinfstruct.statespace import freeze
 from pwaid.systems.vizer2014_dynamics import integrate, joint_rates, mass_and_forces
 
 __all__ = [
@@ -102,6 +103,9 @@ class ArmRecording:
     outputs: np.ndarray
     q: np.ndarray
     dq: np.ndarray
+
+    def __post_init__(self):
+        freeze(self)
 
     @property
     def dt(self) -> float:
