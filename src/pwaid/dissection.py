@@ -19,7 +19,7 @@ import numpy as np
 
 __all__ = ["FrontTree", "dissect"]
 
-LEAF = 40
+LEAF = 24
 
 
 @dataclass(frozen=True, eq=False)

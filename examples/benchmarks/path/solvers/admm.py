@@ -1,7 +1,6 @@
 """The papers' ADMM as pwaid has it."""
 
 from path.objective import Answer
-
 from pwaid.admm import solve_admm
 
 NAME = "ADMM"

@@ -2,9 +2,10 @@
 
 import clarabel
 import numpy as np
+from scipy import sparse
+
 from path.objective import Answer
 from path.solvers import qp
-from scipy import sparse
 
 NAME = "Clarabel"
 BACKEND = "auto"

@@ -1,7 +1,6 @@
 """pwaid's engine."""
 
 from path.objective import Answer
-
 from pwaid.engine import solve_engine
 
 NAME = "engine"

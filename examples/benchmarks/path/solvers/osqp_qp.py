@@ -2,6 +2,7 @@
 
 import numpy as np
 import osqp
+
 from path.objective import Answer
 from path.solvers import qp
 
