@@ -1,0 +1,158 @@
+"""Simulation focus: refit a NARX model so that its free run, not its one-step prediction, meets the recordings.
+
+    minimise over (ŷ, w)   ½ Σ_k (y(k) − y_sim(k; ŷ, w))² + λ ‖F ŷ‖₁
+
+y_sim is the free run, so the problem is no longer convex. It is solved by Gauss–Newton steps from the one-step
+solution: with S the derivative of the free run (`free_run.run_sensitivity`), each step is the hinge problem again,
+with A replaced by S. A step is shortened until the objective falls, so the objective never rises. Free runs
+may start afresh from measured outputs every `horizon` samples; a short horizon is easier, the whole recording is the
+aim.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import sparse
+
+from pwaid.admm import solve_admm
+from pwaid.dynamics import free_run
+from pwaid.dynamics.narx import NARXProblem
+from pwaid.dynamics.narx_model import NARXModel
+from pwaid.dynamics.regressors import as_recordings
+from pwaid.errors import InputError
+from pwaid.problem import HingeProblem
+from pwaid.recording import Recording
+
+__all__ = ["Refined", "refine"]
+
+SHORTEN = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01)
+
+
+@dataclass(frozen=True, eq=False)
+class Refined:
+    """A refined model and how it came about.
+
+    Attributes
+    ----------
+    model : NARXModel
+    unknowns : ndarray, shape (n_points + n_w,)
+        [ŷ, w], to start a neighbouring λ from.
+    objective : tuple of float
+        After each accepted step; decreasing.
+    n_broken : int
+        Broken hinges of the last step's convex problem.
+    """
+
+    model: NARXModel
+    unknowns: np.ndarray
+    objective: tuple[float, ...]
+    n_broken: int
+
+
+def _segments(recordings: Sequence[Recording], first: int, horizon: int | None) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Stretches (inputs, outputs) of at most first + horizon samples that start from measured outputs."""
+    pieces = []
+    for r in recordings:
+        step = len(r) if horizon is None else horizon
+        for k in range(first, len(r), step):
+            pieces.append((r.inputs[k - first : k + step], r.outputs[k - first : k + step]))
+    return pieces
+
+
+def _simulate(model: NARXModel, complement: np.ndarray, pieces, rule: int, derivative: bool):
+    """Residuals of all pieces, and S (or None); residuals are None when a free run diverged."""
+    first = model.first
+    lags = (model.lags.outputs, model.lags.inputs, int(model.lags.direct))
+    residuals, parts = [], []
+    for u, measured in pieces:
+        y = np.zeros_like(measured)
+        y[:first] = measured[:first]
+        if derivative:
+            S = np.zeros((len(y), model.mesh.n_points + complement.shape[1]))
+            state = free_run.run_sensitivity(model.tables, y, u, lags, rule, model.limit, complement, S)[0]
+            parts.append(S[first:])
+        else:
+            state = free_run.run(model.tables, y, u, lags, rule, model.limit)[0]
+        if state != free_run.COMPLETE:
+            return None, None
+        residuals.append(measured[first:, 0] - y[first:, 0])
+    return np.concatenate(residuals), np.vstack(parts) if derivative else None
+
+
+def refine(
+    problem: NARXProblem,
+    unknowns: np.ndarray,
+    recordings: Recording | Sequence[Recording],
+    lam: float,
+    *,
+    horizon: int | None = None,
+    steps: int = 15,
+    tol: float = 1e-3,
+    outside: str = "affine",
+) -> Refined:
+    """Gauss–Newton from `unknowns` towards the least free-run error.
+
+    Parameters
+    ----------
+    problem : NARXProblem
+        One output. Its mesh, C, W and F are used; keep n_points below about 1000: S is dense, (N, n_points).
+    unknowns : ndarray, shape (n_points + n_w,)
+        Where to start: the `values` of a one-step solution, or `Refined.unknowns`.
+    recordings : Recording or sequence of Recording
+        Estimation data.
+    lam : float
+        λ ≥ 0 of the free-run problem; its scale differs from the one-step problem's.
+    horizon : int, optional
+        Samples between fresh starts; the whole recording by default.
+    steps : int
+        At most this many Gauss–Newton steps.
+    tol : float
+        Stop when a step lowers the objective by less than this fraction.
+
+    Raises
+    ------
+    InputError
+        More than one output, or a starting model whose free run diverges.
+    """
+    if len(problem.problems) != 1:
+        raise InputError(f"the model has {len(problem.problems)} outputs; refine takes one: refine each output alone")
+    pieces = _segments(as_recordings(recordings), problem.lags.first, horizon)
+    pieces = [p for p in pieces if len(p[0]) > problem.lags.first]
+    rule = free_run.RULES.index(outside)
+    F, points = problem.problems[0].F, problem.problems[0]._points
+    W = problem.complement
+    x = np.array(unknowns, dtype=float)
+
+    def evaluate(x, derivative):
+        residual, S = _simulate(problem.model(x[:, None]), W, pieces, rule, derivative)
+        if residual is None or (derivative and not np.isfinite(S).all()):
+            return np.inf, None, None
+        return 0.5 * float(residual @ residual) + lam * float(np.abs(F @ x).sum()), residual, S
+
+    value, residual, S = evaluate(x, True)
+    if residual is None:
+        raise InputError("the free run of the starting model diverges; start from a larger λ, or set a short horizon")
+    history, n_broken, warm = [value], 0, None
+    for _ in range(steps):
+        target = residual + S @ x
+        linear = HingeProblem.from_statistics(
+            sparse.csc_matrix(S.T @ S), S.T @ target, float(target @ target), F, target.size, points=points
+        )
+        solution = solve_admm(linear, lam, tol=1e-3, warm_start=warm, max_iterations=1000)
+        warm, n_broken = solution.state, solution.n_broken
+        move = solution.values - x
+        for t in SHORTEN:
+            trial = evaluate(x + t * move, False)[0]
+            if trial < value:
+                break
+        else:
+            break
+        x = x + t * move
+        value, residual, S = evaluate(x, True)
+        history.append(value)
+        if history[-2] - value < tol * history[-2]:
+            break
+    return Refined(problem.model(x[:, None]), x, tuple(history), n_broken)
