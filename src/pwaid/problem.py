@@ -62,6 +62,9 @@ class HingeProblem:
         Measured outputs.
     points : ndarray, shape (n_points, d), optional
         Mesh vertices. They give the null space of F (affine functions) at once; without them it is computed.
+    affine_basis : ndarray, shape (n_points, k), optional
+        An orthonormal basis of the null space of F, where it holds more than the affine functions (extra linear
+        unknowns). Instead of `points`.
     n_dropped : int
         How many samples were left out because they lie outside the mesh (for reports).
 
@@ -71,7 +74,9 @@ class HingeProblem:
         Shapes that do not fit, NaN, or fewer than d + 2 samples.
     """
 
-    def __init__(self, A: Any, F: Any, y: Any, *, points: Any = None, n_dropped: int = 0):
+    def __init__(
+        self, A: Any, F: Any, y: Any, *, points: Any = None, affine_basis: Any = None, n_dropped: int = 0
+    ):
         A = sparse.csr_matrix(A)
         y = np.asarray(y, dtype=float)
         if y.ndim == 2 and y.shape[1] == 1:
@@ -82,6 +87,8 @@ class HingeProblem:
         check_finite(A.data, "A")
         self.A, self.y = A, y
         self._setup((A.T @ A).tocsc(), A.T @ y, float(y @ y), F, y.size, points)
+        if affine_basis is not None:
+            self.affine_basis = np.asarray(affine_basis, dtype=float)
         self.n_dropped = n_dropped
 
     @classmethod
