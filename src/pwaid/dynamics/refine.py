@@ -26,8 +26,10 @@ from pwaid.errors import InputError
 from pwaid.problem import HingeProblem
 from pwaid.recording import Recording
 
-__all__ = ["Refined", "refine"]
+__all__ = ["Refined", "free_run_scale", "refine", "refine_path"]
 
+# A free run whose derivative grows beyond this is unstable over the stretch; no step can be computed from it.
+STEEPEST = 1e6
 SHORTEN = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01)
 
 
@@ -120,7 +122,6 @@ def refine(
     if len(problem.problems) != 1:
         raise InputError(f"the model has {len(problem.problems)} outputs; refine takes one: refine each output alone")
     pieces = _segments(as_recordings(recordings), problem.lags.first, horizon)
-    pieces = [p for p in pieces if len(p[0]) > problem.lags.first]
     rule = free_run.RULES.index(outside)
     F, points = problem.problems[0].F, problem.problems[0]._points
     W = problem.complement
@@ -128,7 +129,7 @@ def refine(
 
     def evaluate(x, derivative):
         residual, S = _simulate(problem.model(x[:, None]), W, pieces, rule, derivative)
-        if residual is None or (derivative and not np.isfinite(S).all()):
+        if residual is None or (derivative and not np.abs(S).max() <= STEEPEST):
             return np.inf, None, None
         return 0.5 * float(residual @ residual) + lam * float(np.abs(F @ x).sum()), residual, S
 
@@ -152,7 +153,67 @@ def refine(
             break
         x = x + t * move
         value, residual, S = evaluate(x, True)
-        history.append(value)
+        history.append(trial)
+        if residual is None:
+            break
         if history[-2] - value < tol * history[-2]:
             break
     return Refined(problem.model(x[:, None]), x, tuple(history), n_broken)
+
+
+def refine_path(
+    problem: NARXProblem,
+    start: np.ndarray,
+    recordings: Recording | Sequence[Recording],
+    ratios: Sequence[float],
+    validation: Recording | Sequence[Recording],
+    *,
+    horizon: int | None = None,
+    steps: int = 15,
+    outside: str = "affine",
+) -> tuple[list[Refined], np.ndarray]:
+    """`refine` over decreasing λ, each from the one before, judged by free run on validation recordings.
+
+    Parameters
+    ----------
+    start : ndarray, shape (n_points + n_w,)
+        A one-step solution.
+    ratios : sequence of float
+        λ as multiples of (free-run loss / ‖Fŷ‖₁) at the start, which balances both terms at 1.
+
+    Returns
+    -------
+    refined : list of Refined
+        One a ratio.
+    validation_rmse : ndarray, shape (len(ratios),)
+        Infinite where the free run diverged.
+    """
+    recordings, validation = as_recordings(recordings), as_recordings(validation)
+    scale = free_run_scale(problem, start, recordings, horizon=horizon, outside=outside)
+    refined, errors, x = [], [], start
+    for ratio in sorted(ratios, reverse=True):
+        step = refine(problem, x, recordings, ratio * scale, horizon=horizon, steps=steps, outside=outside)
+        refined.append(step)
+        errors.append(step.model.free_run_rmse(validation, outside=outside))
+        x = step.unknowns
+    return refined, np.array(errors)
+
+
+def free_run_scale(
+    problem: NARXProblem,
+    unknowns: np.ndarray,
+    recordings: Recording | Sequence[Recording],
+    *,
+    horizon: int | None = None,
+    outside: str = "affine",
+) -> float:
+    """The λ at which free-run loss and λ‖Fŷ‖₁ are equal."""
+    pieces = _segments(as_recordings(recordings), problem.lags.first, horizon)
+    model = problem.model(np.asarray(unknowns)[:, None])
+    residual, _ = _simulate(model, problem.complement, pieces, free_run.RULES.index(outside), False)
+    penalty = float(np.abs(problem.problems[0].F @ unknowns).sum())
+    if residual is None:
+        raise InputError("the free run of the starting model diverges; start from a larger λ, or set a short horizon")
+    if penalty == 0.0:
+        raise InputError("the starting model is affine; start from a solution with broken hinges")
+    return 0.5 * float(residual @ residual) / penalty
