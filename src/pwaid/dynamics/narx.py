@@ -20,15 +20,16 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import null_space
 
-from pwaid.admm import solve_admm
 from pwaid.delaunay import Scaling, SimplexMesh
 from pwaid.dynamics.narx_model import NARXModel
 from pwaid.dynamics.regressors import Lags, as_recordings
 from pwaid.errors import InputError
+from pwaid.lambda_max import lambda_max
 from pwaid.lerp import barycentric_rows, hinge_matrix
 from pwaid.problem import HingeProblem
 from pwaid.pwa_map import PWAMap
 from pwaid.recording import Recording, check_finite
+from pwaid.solve import solve
 
 __all__ = ["NARX", "NARXPath", "NARXProblem"]
 
@@ -113,15 +114,15 @@ class NARXProblem:
         """The affine model (ARX with offset), which every λ ≥ λmax gives."""
         return self.model(np.column_stack([p.affine_values for p in self.problems]))
 
-    def lambda_scale(self) -> float:
-        """An upper bound of λmax, the largest over the outputs: ‖ν‖_∞ of the least-norm ν with Fᵀν = c."""
-        return max(_lambda_bound(p) for p in self.problems)
+    def lambda_max(self) -> float:
+        """The smallest λ at which every output's model is affine."""
+        return max(float(lambda_max(p)) for p in self.problems)
 
     def solve(self, lam: float, *, tol: float = 1e-4, warm_start: Sequence | None = None) -> tuple:
         """The solution of each output at λ; `warm_start` takes the solutions of a neighbouring λ."""
         states = [None] * len(self.problems) if warm_start is None else [s.state for s in warm_start]
         return tuple(
-            solve_admm(p, lam, tol=tol, warm_start=state) for p, state in zip(self.problems, states, strict=True)
+            solve(p, lam, tol=tol, warm_start=state) for p, state in zip(self.problems, states, strict=True)
         )
 
     def path(
@@ -143,13 +144,6 @@ class NARXProblem:
             errors = [model.predict(r, outside="affine")[model.first :] - r.outputs[model.first :] for r in validation]
             ahead.append(np.sqrt(np.mean(np.concatenate(errors) ** 2)))
         return NARXPath(lambdas, tuple(models), tuple(solutions), np.array(free), np.array(ahead))
-
-
-def _lambda_bound(problem: HingeProblem) -> float:
-    if problem.is_affine:
-        return 0.0
-    nu = sparse.linalg.lsmr(problem.F.T, problem.c, atol=1e-9, btol=1e-9, maxiter=2000)[0]
-    return float(np.abs(nu).max())
 
 
 @dataclass(frozen=True)

@@ -30,6 +30,8 @@ __all__ = ["Refined", "free_run_scale", "refine", "refine_path"]
 
 # A free run whose derivative grows beyond this is unstable over the stretch; no step can be computed from it.
 STEEPEST = 1e6
+# Levenberg's damping, as a fraction of the mean diagonal of SᵀS: vertices that no free run touches stay put.
+DAMPING = 1e-5
 SHORTEN = (1.0, 0.5, 0.25, 0.1, 0.03, 0.01)
 
 
@@ -82,6 +84,18 @@ def _simulate(model: NARXModel, complement: np.ndarray, pieces, rule: int, deriv
             return None, None
         residuals.append(measured[first:, 0] - y[first:, 0])
     return np.concatenate(residuals), np.vstack(parts) if derivative else None
+
+
+def _linearised(residual, S, x, F, points) -> HingeProblem:
+    """The hinge problem of one step: ½‖residual − S(ŷ − x)‖² + ½μ‖ŷ − x‖² beside λ‖Fŷ‖₁."""
+    target = residual + S @ x
+    H = S.T @ S
+    mu = DAMPING * float(np.trace(H)) / len(x)
+    H[np.diag_indices(len(x))] += mu
+    yty = float(target @ target) + mu * float(x @ x)
+    return HingeProblem.from_statistics(
+        sparse.csc_matrix(H), S.T @ target + mu * x, yty, F, target.size + len(x), points=points
+    )
 
 
 def refine(
@@ -138,11 +152,11 @@ def refine(
         raise InputError("the free run of the starting model diverges; start from a larger λ, or set a short horizon")
     history, n_broken, warm = [value], 0, None
     for _ in range(steps):
-        target = residual + S @ x
-        linear = HingeProblem.from_statistics(
-            sparse.csc_matrix(S.T @ S), S.T @ target, float(target @ target), F, target.size, points=points
-        )
-        solution = solve_admm(linear, lam, tol=1e-3, warm_start=warm, max_iterations=1000)
+        linear = _linearised(residual, S, x, F, points)
+        try:
+            solution = solve_admm(linear, lam, tol=1e-3, warm_start=warm, max_iterations=1000)
+        except (ArithmeticError, RuntimeError):  # the derivative is too steep to factorise: keep what we have
+            break
         warm, n_broken = solution.state, solution.n_broken
         move = solution.values - x
         for t in SHORTEN:
