@@ -18,9 +18,9 @@ from numba import njit
 
 from pwaid.dynamics.events import DEGREE, NO_CROSSING, TOLERANCE, clear_start, entry_sign, first_crossing
 from pwaid.dynamics.flow import natural_step
-from pwaid.errors import InputError
+from pwaid.errors import InputError, SolverError
 
-__all__ = ["Drive", "DryFriction", "advance", "drive_tables"]
+__all__ = ["Drive", "DryFriction", "advance", "check_events", "drive_tables"]
 
 CONVERGED = 1e-16  # last terms of the series, relative to all
 MOST_EVENTS = 1000  # within one call of `advance`
@@ -113,6 +113,15 @@ def drive_tables(A, a, B, guards, velocity_states=(), inertias=(), frictions=(),
     )  # fmt: skip
 
 
+def check_events(lowest: int) -> None:
+    """Raise when a run saw `advance` give up: `lowest` is the smallest number that it returned."""
+    if lowest < 0:
+        raise SolverError(
+            f"more than {MOST_EVENTS} changes of contact or standstill in one sampling interval: they accumulate; "
+            "check stiffness, inertia and friction for values that make no physical sense, or sample faster"
+        )
+
+
 @njit(cache=True)
 def _series(drive, mode, x, u, h, X):
     """Fill X (DEGREE + 1, n): x(t + s h') = Σ X_k s^k in `mode` = (contact, slip directions…); return h' ≤ h."""
@@ -192,9 +201,12 @@ def _contact_guard(drive, contact, row, X, c):
 
 
 @njit(cache=True)
-def _slip_guard(drive, f, sign, X, h, c):
+def _slip_guard(drive, contact, f, sign, X, h, c):
+    """Polynomial of the slip speed; its zero allows for the rounding of the torque that starts the slip."""
     i = drive.velocity_state[f]
-    size = h * drive.friction[f, 1] / drive.inertia[f]
+    size = 10 * h * drive.friction[f, 1] / drive.inertia[f]
+    for j in range(X.shape[1]):
+        size += 10 * h * abs(drive.A[contact, i, j] * X[0, j])
     for k in range(DEGREE + 1):
         c[k] = sign * X[k, i]
         size += abs(c[k])
@@ -232,7 +244,7 @@ def _settle_friction(drive, mode, x, u, f, h, X, c) -> bool:
         mode[1 + f] = 1 if torque > 0 else -1
         if abs(torque) <= static + doubt:  # on the limit: stands still unless the torque is about to exceed it
             used = _series(drive, mode, x, u, h, X)
-            tol = _slip_guard(drive, f, mode[1 + f], X, used, c)
+            tol = _slip_guard(drive, mode[0], f, mode[1 + f], X, used, c)
             if entry_sign(c, tol) <= 0:
                 mode[1 + f] = 0
     return mode[1 + f] != before
@@ -248,8 +260,10 @@ def settle(drive, mode, x, u):
         h = drive.step[contact]
         for f in range(drive.inertia.size):
             if mode[1 + f] == 0 or x[drive.velocity_state[f]] * mode[1 + f] <= 0.0:
+                if mode[1 + f] != 0:
+                    x[drive.velocity_state[f]] = 0.0  # has just come to rest, to rounding
                 v = x[drive.velocity_state[f]]
-                if v != 0.0:
+                if v != 0.0:  # the caller's initial state
                     wanted = 1 if v > 0 else -1
                     changed = changed or wanted != mode[1 + f]
                     mode[1 + f] = wanted
@@ -271,15 +285,9 @@ def _next_event(drive, mode, X, u, h):
     """Share of h at which `mode` ends (or NO_CROSSING) and the velocity that comes to rest there (or -1)."""
     c = np.empty(DEGREE + 1)
     first, rest = NO_CROSSING, -1
-    for row in range(drive.rows[mode[0]]):
-        tol = _contact_guard(drive, mode[0], row, X, c)
-        clear_start(c, tol)
-        s = first_crossing(c, tol)
-        if s < first:
-            first, rest = s, -1
     for f in range(drive.inertia.size):
         if mode[1 + f] != 0:
-            tol = _slip_guard(drive, f, mode[1 + f], X, h, c)
+            tol = _slip_guard(drive, mode[0], f, mode[1 + f], X, h, c)
             clear_start(c, tol)
             s = first_crossing(c, tol)
             if s < first:
@@ -294,6 +302,12 @@ def _next_event(drive, mode, X, u, h):
             s = first_crossing(left, tol)
             if s < first:
                 first, rest = s, -1
+    for row in range(drive.rows[mode[0]]):
+        tol = _contact_guard(drive, mode[0], row, X, c)
+        clear_start(c, tol)
+        s = first_crossing(c, tol)
+        if s < first:
+            first, rest = s, -1
     return first, rest
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numba import njit
 
-from pwaid.dynamics.dry_friction import Drive, DryFriction, advance, drive_tables
+from pwaid.dynamics.dry_friction import Drive, DryFriction, advance, check_events, drive_tables
 from pwaid.errors import InputError
 
 __all__ = ["RotaryActuator", "maruta2014_pyramid", "maruta2014_rotary_actuator", "pyramid"]
@@ -56,7 +56,7 @@ class RotaryActuator:
     that ω_k = Π(ω_{k−1}, ω_{k−2}, u_k) as in (21).
 
     Magnitudes: chosen, not measured. The output RMS is the paper's 8.4 rad/s for commands of N(0, 1 V) held for
-    0.1 s; friction is a third to a half of the command's standard deviation, as for harmonic drives near their rated
+    0.1 s; Coulomb friction is 40 % and breakaway 80 % of the command's standard deviation, as for harmonic drives near their rated
     torque (Taghirad and Bélanger 1998 report strong Coulomb and Stribeck friction); the lag is that of a
     current loop with a filter, a few milliseconds.
 
@@ -78,10 +78,10 @@ class RotaryActuator:
         Sampling time, s.
     """
 
-    inertia: float = 3.4e-3
-    viscous: float = 3.0e-2
+    inertia: float = 4.6e-3
+    viscous: float = 4.7e-2
     lag: float = 4e-3
-    friction: DryFriction = field(default_factory=lambda: DryFriction(0.30, 0.55, 1.5, 1))
+    friction: DryFriction = field(default_factory=lambda: DryFriction(0.40, 0.80, 2.0, 1))
     disturbance: float = 0.03
     counts: int | None = 400_000
     dt: float = 0.01
@@ -109,7 +109,8 @@ class RotaryActuator:
             raise InputError(f"u has shape {u.shape}; expected finite commands of shape (N,), in volts")
         rng = np.random.default_rng(rng)
         pushed = u + self.disturbance * rng.standard_normal(u.size) if self.disturbance else u
-        theta = _angles(self.drive(step_scale), pushed, self.dt)
+        theta, lowest = _angles(self.drive(step_scale), pushed, self.dt)
+        check_events(lowest)
         if self.counts is not None:
             count = 2 * np.pi / self.counts
             theta = np.floor(theta / count + 0.5) * count
@@ -137,15 +138,16 @@ class RotaryActuator:
 
 @njit(cache=True)
 def _angles(drive, u, dt):
-    """Angle at the end of each interval of length dt, from rest."""
+    """Angle at the end of each interval of length dt, from rest; and the least that `advance` returned."""
+    lowest = 0
     x, mode = np.zeros(3), np.zeros(2, dtype=np.int64)
     theta = np.empty(u.size)
     held = np.empty(1)
     for k in range(u.size):
         held[0] = u[k]
-        advance(drive, mode, x, held, dt)
+        lowest = min(lowest, advance(drive, mode, x, held, dt))
         theta[k] = x[2]
-    return theta
+    return theta, lowest
 
 
 def maruta2014_rotary_actuator(n: int = 512_000, rng=None, system: RotaryActuator | None = None, hold: int = 10,
