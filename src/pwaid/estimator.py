@@ -23,6 +23,8 @@ __all__ = ["PWARegressor"]
 # Facets multiply by about 8 with each dimension (docs/limits.md); above this many inputs some enter linearly.
 MESH_DIMENSIONS = 4
 CHOSEN_DIMENSIONS = 3
+# On the squared coefficients of standardised linear inputs, a sample: makes them unique when inputs repeat each other.
+RIDGE = 1e-8
 
 
 class PWARegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
@@ -188,6 +190,9 @@ class PWARegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
     def _problem(self, A, F, y) -> HingeProblem:
         """The problem with the linear block appended; both blocks' affine functions cost nothing."""
         n, k = self.mesh_.n_points, A.shape[1] - self.mesh_.n_points
+        if k:
+            ridge = sparse.hstack([sparse.csr_matrix((k, n)), np.sqrt(RIDGE * len(y)) * sparse.eye_array(k)])
+            A, y = sparse.csr_matrix(sparse.vstack([A, ridge])), np.append(y, np.zeros(k))
         affine = np.column_stack([np.ones(n), self.mesh_.normalised])
         basis = np.zeros((n + k, affine.shape[1] + k))
         basis[:n, : affine.shape[1]] = np.linalg.qr(affine)[0]

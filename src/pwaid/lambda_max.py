@@ -84,7 +84,9 @@ def lambda_max(problem: HingeProblem, *, tol: float = 1e-6) -> LambdaMax:
     for power in (0.5, 0.0, 1.0):  # slivers: no one scaling of the rows serves every weighting
         v, z = _linear_programme(F, c / size, problem.row_norms**power, tol)
         upper = min(upper, float(np.abs(_repair(F, c / size, z, problem.row_norms, affine)).max()))
-        lower = max(lower, abs(float(c / size @ v)) / float(np.abs(F @ v).sum()))
+        spent = float(np.abs(F @ v).sum())
+        if np.isfinite(spent) and spent > 0.0:
+            lower = max(lower, abs(float(c / size @ v)) / spent)
         if upper - lower <= tol * upper:
             break
     if not upper - lower <= USELESS * upper:

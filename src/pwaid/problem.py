@@ -32,6 +32,8 @@ __all__ = ["Certificate", "HingeProblem"]
 
 # A hinge counts as broken when its extrapolation error exceeds this fraction of the RMS of y about its affine fit.
 BROKEN = 1e-4
+# A residual of this fraction of y is rounding.
+EXACT = 1e-11
 
 
 @dataclass(frozen=True)
@@ -162,9 +164,21 @@ class HingeProblem:
 
     @cached_property
     def affine_values(self) -> np.ndarray:
-        """ŷ of the affine least-squares fit (2014 eq. 13), shape (n_points,): the solution for λ ≥ λmax."""
+        """ŷ of the affine least-squares fit (2014 eq. 13), shape (n_points,): the solution for λ ≥ λmax.
+
+        Raises
+        ------
+        InputError
+            The samples do not determine it: collinear inputs, or fewer than d + 1 distinct samples.
+        """
         V = self.affine_basis
-        return V @ np.linalg.lstsq(V.T @ (self.H @ V), V.T @ self.Aty, rcond=None)[0]
+        coefficients, _, rank, _ = np.linalg.lstsq(V.T @ (self.H @ V), V.T @ self.Aty, rcond=1e-13)
+        if rank < V.shape[1]:
+            raise InputError(
+                f"the {self.n_samples} samples do not determine an affine function of the {V.shape[1] - 1} inputs: "
+                "the inputs are collinear, or too few samples are distinct; leave out the redundant input"
+            )
+        return V @ coefficients
 
     @cached_property
     def _affine_leak(self) -> float:
@@ -193,10 +207,8 @@ class HingeProblem:
 
     @cached_property
     def is_affine(self) -> bool:
-        """Whether y is an affine function of x to rounding, so that λmax = 0."""
-        return self.affine_loss <= 0.5 * self.n_samples * (64 * np.finfo(float).eps) ** 2 * max(
-            1e-300, float(self.yty) / self.n_samples
-        )
+        """Whether y is an affine function of x to rounding (RMS 1e-11 of y's own), so that λmax = 0."""
+        return self.affine_loss <= 0.5 * EXACT**2 * self.yty
 
     # -- judging ---------------------------------------------------------------------------------------------
 

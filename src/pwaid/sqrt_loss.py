@@ -89,8 +89,7 @@ def _next(trace: list[tuple[float, float]], proposal: float, low: float, high: f
     """A secant step in log λ where it stays in the bracket, else the fixed-point step, else the middle."""
     if len(trace) > 1:
         (x0, g0), (x1, g1) = trace[-2:]
-        if g0 != g1:
-            step = float(np.exp(x1 - g1 * (x1 - x0) / (g1 - g0)))
-            if low < step < high:
-                return step
+        step = x1 - g1 * (x1 - x0) / (g1 - g0) if abs(g1 - g0) > 1e-9 * abs(g1) else -np.inf
+        if (np.log(low) if low > 0 else -700.0) < step < np.log(high):
+            return float(np.exp(step))
     return proposal if low < proposal < high else float(np.sqrt(low * high))
