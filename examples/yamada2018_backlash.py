@@ -59,7 +59,8 @@ def figures(runs, loads, portraits, directory):
             t, y, _ = results[kind]
             at = (t >= window[0]) & (t <= window[1])
             colour, line = STYLE[kind]
-            ax.plot(t[at], scale * y[signal][at], line, color=colour, label=f"{kind} damping".replace("none", "no"), lw=1.2)
+            ax.plot(t[at], scale * y[signal][at], line, color=colour,
+                    label=f"{kind} damping".replace("none", "no"), lw=1.2)
         ax.set(xlabel="time [s]", ylabel=label, xlim=window)
         ax.grid(alpha=0.3)
 
@@ -114,7 +115,8 @@ def main():
     impact = {kind: first_impact(runs[kind][1]["T_s"]) for kind in KINDS}
     overshoot = {kind: 1e3 * (runs[kind][1]["theta_L"].max() - 0.30) for kind in KINDS}
     motor_only = pd_gains(viscous=plant.D_M)
-    other = {kind: first_impact(simulate(kind, 0.05, step, motor_only)[1]["T_s"]) for kind in ("none", "linear")}
+    other = {kind: first_impact(simulate(kind, 0.05, step, motor_only)[1]["T_s"])
+             for kind in ("none", "linear")}
     size, period = limit_cycle(4.0 if options.quick else 6.0)
 
     system = closed_loop("switched")
@@ -129,7 +131,8 @@ def main():
     for kind in KINDS:
         peak = 1e3 * np.abs(loads[kind][1]["theta_L"]).max()
         print(f"{kind:9s} first impact {impact[kind]:.4f} N m, overshoot {overshoot[kind]:6.2f} mrad, "
-              f"largest angle under load torque {peak:6.2f} mrad, {len(runs[kind][2].crossings)} crossings")  # fmt: skip
+              f"largest angle under load torque {peak:6.2f} mrad, "
+              f"{len(runs[kind][2].crossings)} crossings")
     last = max(np.abs(path.states[-1, 2]) for portrait in portraits for path in portrait.trajectories)
     print(f"the eight free motions of Fig. 8: largest load angle after 2 s {1e3 * last:.3f} mrad")
     if options.save:

@@ -44,9 +44,8 @@ def test_A_is_the_papers_lerp(mesh, rng):
     X = rng.uniform(-1, 2, (20, mesh.dimension))
     values = rng.standard_normal(mesh.n_points)
     simplex, _ = mesh.locate(X)
-    expected = [
-        literal_lerp(x, mesh.points[mesh.simplices[s]], values[mesh.simplices[s]]) for x, s in zip(X, simplex, strict=True)
-    ]
+    corners = mesh.simplices[simplex]
+    expected = [literal_lerp(x, mesh.points[v], values[v]) for x, v in zip(X, corners, strict=True)]
     np.testing.assert_allclose(interpolation_matrix(mesh, X) @ values, expected, rtol=1e-7, atol=1e-9)
 
 

@@ -53,7 +53,8 @@ def test_csv_with_units_and_mat_and_frame_agree(tmp_path):
     pandas = pytest.importorskip("pandas")
     u, x = np.sin(T), T**2
     csv = tmp_path / "r.csv"
-    csv.write_text("t [s],u [N m],x (rad)\n" + "\n".join(f"{a!r},{b!r},{c!r}" for a, b, c in zip(T.tolist(), u.tolist(), x.tolist())))
+    rows = [",".join(repr(float(v)) for v in row) for row in zip(T, u, x, strict=True)]
+    csv.write_text("\n".join(["t [s],u [N m],x (rad)", *rows]))
     savemat(tmp_path / "r.mat", {"t": T, "u": u, "x": x})
     frame = pandas.DataFrame({"t": T, "u": u, "x": x})
     recs = [
@@ -74,7 +75,7 @@ def test_csv_with_units_and_mat_and_frame_agree(tmp_path):
         ({"time": T[::-1]}, "time goes backwards or stands still at sample 1"),
         ({"time": np.r_[T[:5], T[4:9]]}, "stands still"),
         ({"time": np.r_[T[:5], T[5:] + 0.3]}, "not uniformly sampled: the step after sample 4"),
-        ({"inputs": np.r_[np.nan, T[1:]]}, r"inputs has 1 entries that are NaN or infinite, the first at index \(0, 0\)"),
+        ({"inputs": np.r_[np.nan, T[1:]]}, r"inputs has 1 entries that are NaN or infinite, the first at index \(0"),
         ({"outputs": np.full((10, 2), np.inf)}, "outputs has 20 entries"),
         ({"outputs": np.zeros((2, 10))}, "looks transposed"),
         ({"inputs": T[:5]}, "inputs has 5 rows for 10 time stamps"),

@@ -92,6 +92,7 @@ def test_giving_up_is_said(small):
         ({"lam": 1.0, "method": "magic"}, "expected one of 'auto'"),
         ({"lam": 1.0, "tol": 0.0}, "between 0 and 1"),
         ({"lam": 1.0, "method": "admm", "warm_start": 3}, "does not belong to this problem"),
+        ({"lam": 1.0, "warm_start": 3}, "not a state of this problem"),
         ({"lam": 1.0, "method": "admm", "warm_start": ADMMState(np.zeros(2), np.zeros(2), 1.0, 1.0)}, "same mesh"),
     ],
 )

@@ -36,9 +36,15 @@ def test_the_weight_does_not_depend_on_the_unit_of_y(problem):
     assert b.lam == pytest.approx(1e3 * a.lam, rel=1e-2)
 
 
-def test_a_weight_that_interpolates_is_refused():
+def test_a_small_weight_interpolates_the_samples():
     mesh = SimplexMesh.grid([[-1, 1]], 41)
     X = mesh.points[1::4]
     problem = HingeProblem.from_data(mesh, X, np.random.default_rng(0).standard_normal(len(X)))
-    with pytest.raises(pwaid.InputError, match="interpolates the samples"):
-        solve_sqrt(problem, 1e-4)
+    found = solve_sqrt(problem, 1e-4)
+    assert sqrt_gap(problem, found, 1e-4) <= 1e-4
+    np.testing.assert_allclose(problem.A @ found.values, problem.y, atol=1e-5)
+
+
+def test_a_weight_must_be_positive(problem):
+    with pytest.raises(pwaid.InputError, match="positive finite"):
+        solve_sqrt(problem, -1.0)

@@ -279,6 +279,11 @@ class SimplexMesh:
         return np.ascontiguousarray(gradients), np.ascontiguousarray(offsets)
 
     @cached_property
+    def _origins(self) -> np.ndarray:
+        """The last vertex of each simplex, normalised, shape (n_simplices, d)."""
+        return self.normalised[self.simplices[:, -1]]
+
+    @cached_property
     def heights(self) -> np.ndarray:
         """Distance of each vertex from the opposite facet's hyperplane, normalised, shape (n_simplices, d + 1)."""
         return 1.0 / np.linalg.norm(self._barycentric[0], axis=2)
@@ -310,11 +315,11 @@ class SimplexMesh:
 
     @cached_property
     def _buckets(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """A start simplex for each bucket of a regular grid with about as many cells as points."""
+        """A start simplex for each bucket of a regular grid with about as many cells as simplices."""
         Z = self.normalised
         d = self.dimension
         low, high = Z.min(axis=0), Z.max(axis=0)
-        shape = np.full(d, max(1, min(64 if d > 2 else 1024, round(self.n_points ** (1.0 / d)))))
+        shape = np.full(d, max(1, min(64 if d > 2 else 1024, round(self.n_simplices ** (1.0 / d)))))
         width = (high - low) / shape
         axes = [low[k] + width[k] * (np.arange(shape[k]) + 0.5) for k in range(d)]
         centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, d)
@@ -346,12 +351,12 @@ class SimplexMesh:
             Barycentric coordinates, NaN outside.
         """
         Z = np.ascontiguousarray(self.scaling.apply(self.check_points(X)))
-        gradients, offsets = self._barycentric
+        gradients, origins = self._barycentric[0], self._origins
         simplex = np.empty(len(Z), np.int64)
         weights = np.empty((len(Z), self.dimension + 1))
-        walk.locate(gradients, offsets, self.neighbors, Z, *self._buckets, INSIDE_TOLERANCE, simplex, weights)
+        walk.locate(gradients, origins, self.neighbors, Z, *self._buckets, INSIDE_TOLERANCE, simplex, weights)
         if not self.convex or np.any(simplex < -self.n_simplices):
-            walk.locate_exhaustively(gradients, offsets, *self._boxes, Z, INSIDE_TOLERANCE, simplex, weights)
+            walk.locate_exhaustively(gradients, origins, *self._boxes, Z, INSIDE_TOLERANCE, simplex, weights)
         outside = simplex < 0
         simplex[outside] = -1
         weights[outside] = np.nan

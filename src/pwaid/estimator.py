@@ -11,9 +11,9 @@ from sklearn.utils.validation import check_is_fitted, validate_data
 
 from pwaid.delaunay import SimplexMesh
 from pwaid.errors import InputError
+from pwaid.lambda_max import lambda_max
 from pwaid.lerp import barycentric_rows, hinge_matrix
 from pwaid.path import fold_labels, lambda_grid, solve_path
-from pwaid.lambda_max import lambda_max
 from pwaid.problem import HingeProblem
 from pwaid.pwa_map import PWAMap
 from pwaid.solve import check_lambda, solve

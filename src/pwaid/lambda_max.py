@@ -4,17 +4,26 @@ With c = Aᵀ(y − A ŷ_aff) (2014 eq. 13–15; (15b) lost its "= 0" in print),
 
     λmax = min { ‖z‖_∞ : Fᵀz = c } = max { cᵀv : ‖F v‖₁ ≤ 1 }.
 
-Any z that fulfils the equation gives an upper bound, any v a lower one. The linear programme is solved by an
-interior point method; its z is then made to fulfil Fᵀz = c to rounding by a solve with FᵀF.
+Any z that fulfils the equation gives an upper bound, any v a lower one. The linear programme
+
+    minimise λ   subject to Fᵀz = c,  a = λ − z ≥ 0,  b = λ + z ≥ 0
+
+has multipliers v of the equation and p, q ≥ 0 with Fv = p − q, Σ(p + q) = 1: the hinge problem without its loss and
+with λ free. So the engine's interior point method solves it; its Newton system FᵀDF, bordered by the one column
+that belongs to λ, has the same pattern and shares the elimination order. FᵀDF is singular on the affine functions
+and every right-hand side is orthogonal to them, so holding d + 1 vertices in general position by any spring changes
+nothing and makes it definite.
 """
 
 from __future__ import annotations
 
-import clarabel
-import numpy as np
-from scipy import linalg, sparse
-from scipy.sparse import linalg as sparse_linalg
+from dataclasses import replace
 
+import numpy as np
+from scipy import linalg
+
+from pwaid.engine import kernels
+from pwaid.engine.interior import SHIFTS, Direction, InteriorState, Operators, Progress, advance
 from pwaid.errors import InputError, SolverError
 from pwaid.problem import HingeProblem
 
@@ -22,6 +31,10 @@ __all__ = ["LambdaMax", "lambda_max"]
 
 # Bounds farther apart than this fraction are an error; between this and tol they are returned (see `width`).
 USELESS = 1e-2
+MAX_ITERATIONS = 60
+STEPS_WITHOUT_GAIN = 8
+# The first λ, as a multiple of the bound that the least-squares z gives.
+FIRST = 1.5
 
 
 class LambdaMax(float):
@@ -75,20 +88,12 @@ def lambda_max(problem: HingeProblem, *, tol: float = 1e-6) -> LambdaMax:
         raise InputError(f"tol is {tol!r}; expected a relative width between 0 and 1, such as 1e-6")
     if problem.is_affine:
         return LambdaMax(0.0, 0.0)
-    F, c, affine = problem.F, problem.c, problem.affine_basis
-    c = c - affine @ (affine.T @ c)
+    affine = problem.affine_basis
+    c = problem.c - affine @ (affine.T @ problem.c)
     size = float(np.linalg.norm(c))
     if size == 0.0:
         return LambdaMax(0.0, 0.0)
-    lower, upper = 0.0, np.inf
-    for power in (0.5, 0.0, 1.0):  # slivers: no one scaling of the rows serves every weighting
-        v, z = _linear_programme(F, c / size, problem.row_norms**power, tol)
-        upper = min(upper, float(np.abs(_repair(F, c / size, z, problem.row_norms, affine)).max()))
-        spent = float(np.abs(F @ v).sum())
-        if np.isfinite(spent) and spent > 0.0:
-            lower = max(lower, abs(float(c / size @ v)) / spent)
-        if upper - lower <= tol * upper:
-            break
+    lower, upper = _bounds(replace(Operators.of(problem), c=c / size), affine, problem.row_norms, tol)
     if not upper - lower <= USELESS * upper:
         raise SolverError(
             f"λmax is only known to lie between {lower * size:.6g} and {upper * size:.6g}; "
@@ -97,39 +102,87 @@ def lambda_max(problem: HingeProblem, *, tol: float = 1e-6) -> LambdaMax:
     return LambdaMax(min(lower, upper) * size, upper * size)
 
 
-def _linear_programme(F, c, scale, tol):
-    """v and z of min t subject to Fᵀz = c, −t ≤ z ≤ t, by Clarabel, with z and F scaled by `scale`."""
-    m, n = F.shape
-    G = sparse.diags_array(1.0 / scale) @ F
-    eye, ones = sparse.diags_array(1.0 / scale), -np.ones((m, 1))
-    A = sparse.block_array([[G.T, None], [eye, ones], [-eye, ones]]).tocsc()
-    b = np.concatenate([c, np.zeros(2 * m)])
-    q = np.zeros(m + 1)
-    q[-1] = 1.0
-    settings = clarabel.DefaultSettings()
-    settings.verbose = False
-    settings.tol_gap_abs = settings.tol_gap_rel = settings.tol_feas = min(1e-9, 1e-3 * tol)
-    settings.max_threads = 1
-    cones = [clarabel.ZeroConeT(n), clarabel.NonnegativeConeT(2 * m)]
-    result = clarabel.DefaultSolver(sparse.csc_matrix((m + 1, m + 1)), q, A, b, cones, settings).solve()
-    return np.asarray(result.z)[:n], np.asarray(result.x)[:m] / scale
+def _bounds(ops: Operators, affine: np.ndarray, norms: np.ndarray, tol: float) -> tuple[float, float]:
+    """The bounds for ops.c, by interior point iterations until they are within tol."""
+    held = np.zeros(ops.c.size)
+    held[linalg.qr(affine.T, pivoting=True, mode="r")[1][: affine.shape[1]]] = 1.0
+    state, upper = _start(ops, held, 1.0 / norms)
+    lower, idle = 0.0, 0
+    for _ in range(MAX_ITERATIONS):
+        direction = _begin(ops, state, held)
+        if direction is None:
+            break
+        progress = advance(direction)
+        state, before = progress.state, upper - lower
+        upper = min(upper, _upper(ops, progress, direction.spring))
+        v = state.v - affine @ (affine.T @ state.v)
+        spent = float(np.abs(ops.F @ v).sum())
+        if np.isfinite(spent) and spent > 0.0:
+            lower = max(lower, float(ops.c @ v) / spent)
+        idle = 0 if upper - lower < 0.99 * before else idle + 1
+        if upper - lower <= tol * upper or idle >= STEPS_WITHOUT_GAIN:
+            break
+    return lower, upper
 
 
-def _repair(F, c, z, norms, affine):
-    """z moved least (weighted by the norms of the rows) to fulfil Fᵀz = c to rounding.
+def _factorise(ops: Operators, D: np.ndarray, held: np.ndarray) -> float | None:
+    """Factorise FᵀDF with springs as stiff as its rows at the held vertices; the stiffness, None on breakdown."""
+    spring = float(D @ np.asarray(ops.F.multiply(ops.F).sum(axis=1)).ravel()) / held.size
+    if any(ops.K.factorise(D, shift=shift, diagonal=spring * held) for shift in SHIFTS):
+        return spring
+    return None
 
-    FᵀF is singular on the affine functions; it is definite once d + 1 vertices in general position are held.
-    """
-    n = F.shape[1]
-    held = linalg.qr(affine.T, pivoting=True, mode="r")[1][: affine.shape[1]]
-    free = np.setdiff1d(np.arange(n), held)
-    weights = 1.0 / norms
-    K = (F.T @ sparse.diags_array(weights) @ F).tocsc()
-    factor = sparse_linalg.splu(
-        K[free][:, free], permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True}
-    )
-    for _ in range(3):
-        step = np.zeros(n)
-        step[free] = factor.solve((c - F.T @ z)[free])
-        z = z + weights * (F @ step)
-    return z
+
+def _start(ops: Operators, held: np.ndarray, weights: np.ndarray) -> tuple[InteriorState, float]:
+    """v = 0, p = q, and the z of least weighted norm, with λ well above it."""
+    _factorise(ops, weights, held)
+    z = np.zeros_like(weights)
+    for _ in range(2):
+        z += weights * (ops.F @ ops.K.solve(ops.c - ops.FT @ z))
+    upper = float(np.abs(z).max())
+    share = np.full(z.size, 0.5 / z.size)
+    return InteriorState(np.zeros_like(ops.c), share, share.copy(), z, FIRST * upper), upper
+
+
+def _begin(ops: Operators, s: InteriorState, held: np.ndarray) -> _BorderedDirection | None:
+    D = kernels.weights(s.p, s.q, s.nu, s.lam)
+    spring = _factorise(ops, D, held)
+    return None if spring is None else _BorderedDirection(ops, s, D, spring)
+
+
+def _upper(ops: Operators, progress: Progress, spring: float) -> float:
+    """‖z‖_∞ after z was made to fulfil Fᵀz = c by solves with the last factorisation."""
+    z = progress.state.nu
+    for _ in range(2):
+        z = z + progress.weights * (ops.F @ ops.K.solve(ops.c - ops.FT @ z))
+    return float(np.abs(z).max())
+
+
+class _BorderedDirection(Direction):
+    """A direction in which λ moves too: Σ(p + q) = 1 closes the system."""
+
+    def __init__(self, ops: Operators, s: InteriorState, D: np.ndarray, spring: float):
+        super().__init__(ops, s, D)
+        self.spring = spring
+        pa, qb = s.p / (s.lam - s.nu), s.q / (s.lam + s.nu)
+        self.e = pa - qb
+        self.v_lam = ops.K.solve(ops.FT @ (D * self.e))
+        self.z_lam = D * (self.e - ops.F @ self.v_lam)
+        self.stiffness = float((pa + qb).sum() - self.e @ self.z_lam)
+
+    def residuals(self) -> tuple[np.ndarray, np.ndarray]:
+        ops, s = self.ops, self.state
+        return ops.c - ops.FT @ s.nu, s.p - s.q - ops.F @ s.v
+
+    def add(self, ra, rb, rd=None, rp=None) -> None:
+        ops, s = self.ops, self.state
+        missing = 0.0 if rd is None else 1.0 - float(s.p.sum() + s.q.sum())
+        g = kernels.reduce(self.D, np.zeros_like(ra) if rp is None else rp, ra, rb, s.nu, s.lam)
+        right = ops.FT @ g
+        v = ops.K.solve(right if rd is None else rd + right)
+        z = self.D * (ops.F @ v) - g
+        drive = float((ra / (s.lam - s.nu) + rb / (s.lam + s.nu)).sum() + self.e @ z) - missing
+        dlam = drive / self.stiffness
+        self.dv += v - dlam * self.v_lam
+        self.dlam += dlam
+        kernels.expand(z + dlam * self.z_lam, dlam, ra, rb, s.p, s.q, s.nu, s.lam, self.dnu, self.dp, self.dq)

@@ -92,7 +92,7 @@ def solve_path(
         judge = _HeldOut(mesh, X_val, y_val)
         notes += judge.notes
     if mesh is not None and mesh.n_points != problem.n_points:
-        raise InputError(f"the mesh has {mesh.n_points} points, the problem {problem.n_points}; pass the problem's mesh")
+        raise InputError(f"the mesh has {mesh.n_points} points, the problem {problem.n_points}; pass its own mesh")
     if problem.is_affine:
         notes.append("the output is an affine function of the inputs to rounding: λmax is 0 and the map is flat")
         grid, largest = np.array([1.0]), 0.0

@@ -6,11 +6,14 @@ Only H = AᵀA, c = Aᵀy and yᵀy enter, so N may be far larger than memory (`
 
 Certificate. For any r, ν with Aᵀr = Fᵀν and ‖ν‖_∞ ≤ λ, weak duality gives P ≥ D = yᵀr − ½ ‖r‖². A pair (v, ν) with
 H v + Fᵀν = c gives r = y − A v; scaling r and ν by t = min(1, λ/‖ν‖_∞) makes it feasible. What is left of the
-equation by rounding, q = c − H v − Fᵀν, is charged to the bound. The gap of the point returned is
+equation, q = c − H v − Fᵀν, is charged to the bound with ‖q‖₁ times a generous bound of the optimum's distance from
+the affine fit, the larger of those of ŷ and v and of ‖ỹ‖₂, √N times its RMS (q is rounding for a pair that fulfils
+the equation; a pair that does not gets no useful bound). The gap of the point returned is
 (P(ŷ) − D) / P(ŷ): every tolerance in pwaid means this number.
 
 Affine functions cost nothing (F annihilates them), so c and yᵀy are taken relative to the best affine fit ŷ_aff:
-this changes neither problem nor gap (‖Fŷ_aff‖₁, zero but for rounding, is charged too) and keeps digits when y has a large mean or trend.
+this changes neither problem nor gap (‖Fŷ_aff‖₁, zero but for rounding, is charged too) and keeps digits when y has
+a large mean or trend.
 """
 
 from __future__ import annotations
@@ -23,6 +26,8 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import linalg as sparse_linalg
 
+from pwaid.assembly import SampleSums
+from pwaid.cholesky import NormalMatrix
 from pwaid.delaunay import SimplexMesh
 from pwaid.errors import InputError
 from pwaid.lerp import barycentric_rows, hinge_matrix
@@ -135,6 +140,32 @@ class HingeProblem:
         F = hinge_matrix(mesh, weighting)
         return cls(A, F, y[inside], points=mesh.normalised, n_dropped=int((~inside).sum()))
 
+    @classmethod
+    def from_chunks(
+        cls, mesh: SimplexMesh, chunks: Any, *, weighting: str = "pairs", outside: str = "raise"
+    ) -> HingeProblem:
+        """From samples that come in chunks, in memory that does not grow with their number.
+
+        Parameters
+        ----------
+        mesh : SimplexMesh
+        chunks : iterable of (X, y)
+            X of shape (n, d) and y of shape (n,) each; a generator that reads a file will do.
+        weighting, outside
+            As in `from_data`.
+        """
+        sums = SampleSums(mesh, outside=outside)
+        sums.add_all(chunks)
+        if sums.n < mesh.dimension + 2:
+            raise InputError(
+                f"{sums.n} of {sums.n + sums.n_dropped} samples lie inside the mesh; expected at least "
+                f"{mesh.dimension + 2}: are mesh and samples in the same units?"
+            )
+        F = hinge_matrix(mesh, weighting)
+        self = cls.from_statistics(sums.AtA, sums.Aty, sums.yty, F, sums.n, points=mesh.normalised)
+        self.n_dropped = sums.n_dropped
+        return self
+
     def _setup(self, H, Aty, yty, F, n_samples, points) -> None:
         F = sparse.csr_matrix(F)
         if F.shape[1] != H.shape[0] or H.shape[0] != H.shape[1] or Aty.shape != (H.shape[0],):
@@ -152,6 +183,15 @@ class HingeProblem:
             if points.ndim != 2 or points.shape[0] != H.shape[0]:
                 raise InputError(f"points have shape {points.shape}; expected ({H.shape[0]}, d)")
         self._points = points
+
+    @cached_property
+    def normal_matrix(self) -> NormalMatrix:
+        """H + FᵀDF for any diagonal D: ordered once, factorised by every solver. Not for several threads at once."""
+        return NormalMatrix(self.H, self.F, self._points)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What is pickled: all but the factorisation, which is large and soon made again."""
+        return {k: v for k, v in self.__dict__.items() if k != "normal_matrix"}
 
     # -- the affine part -------------------------------------------------------------------------------------
 
@@ -272,7 +312,8 @@ class HingeProblem:
         rr = max(0.0, centred - 2.0 * float(c @ move) + float(move @ image))
         yr = centred - float(c @ move)
         left_over = c - image - self.F.T @ nu
-        charge = float(np.abs(left_over).sum() * np.abs(move).max(initial=0.0)) + lam * self._affine_leak
+        reach = max(np.abs(move).max(initial=0.0), np.abs(values - self.affine_values).max(initial=0.0), centred**0.5)
+        charge = float(np.abs(left_over).sum() * reach) + lam * self._affine_leak
         return Certificate(primal, max(0.0, t * yr - 0.5 * t * t * rr - t * charge))
 
     def certify(self, values: np.ndarray, nu: np.ndarray, lam: float) -> tuple[Certificate, np.ndarray]:

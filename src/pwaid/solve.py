@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from pwaid.admm import solve_admm
+from pwaid.admm import ADMMState, solve_admm
+from pwaid.engine import solve_engine
 from pwaid.errors import InputError
 from pwaid.problem import HingeProblem
 from pwaid.reference import SOLVERS, solve_reference
@@ -14,7 +15,7 @@ from pwaid.solution import Solution, Status
 
 __all__ = ["METHODS", "check_lambda", "solve"]
 
-METHODS = ("auto", "admm", *SOLVERS)
+METHODS = ("auto", "engine", "admm", *SOLVERS)
 
 
 def check_lambda(lam: Any) -> float:
@@ -49,8 +50,9 @@ def solve(
     problem : HingeProblem
     lam : float
         λ > 0.
-    method : {"auto", "admm", "clarabel", "osqp"}
-        ``"clarabel"`` and ``"osqp"`` go through cvxpy and serve as judges.
+    method : {"auto", "engine", "admm", "clarabel", "osqp"}
+        ``"auto"`` is our interior point engine, and ADMM (2014 Algorithm 1) where rounding stops it before the
+        tolerance; ``"clarabel"`` and ``"osqp"`` go through cvxpy and serve as judges.
     tol : float
         Largest certified relative gap (P − D)/P.
     warm_start : object, optional
@@ -78,7 +80,14 @@ def solve(
     if method in SOLVERS:
         return solve_reference(problem, lam, solver=method, tol=tol)
     limit = {} if max_iterations is None else {"max_iterations": int(max_iterations)}
-    return solve_admm(problem, lam, tol=tol, warm_start=warm_start, **limit)
+    if method == "admm":
+        return solve_admm(problem, lam, tol=tol, warm_start=warm_start, **limit)
+    start = None if method == "auto" and isinstance(warm_start, ADMMState) else warm_start
+    solution = solve_engine(problem, lam, tol=tol, warm_start=start, **limit)
+    if method == "auto" and not solution.status.ok:
+        other = solve_admm(problem, lam, tol=tol, **limit)
+        return other if other.gap < solution.gap else solution
+    return solution
 
 
 def _flat(problem: HingeProblem, lam: float) -> Solution:

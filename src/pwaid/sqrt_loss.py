@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pwaid.errors import InputError, SolverError
+from pwaid.errors import SolverError
 from pwaid.problem import HingeProblem
 from pwaid.solution import Solution
 from pwaid.solve import check_lambda, solve
@@ -47,12 +47,13 @@ def solve_sqrt(
     Returns
     -------
     Solution
-        Of the squared loss at the λ that belongs to w; `sqrt_gap` certifies it for the square-root loss.
+        Of the squared loss at the λ that belongs to w; `sqrt_gap` certifies it for the square-root loss. For small
+        w the map interpolates the samples to the tolerance.
 
     Raises
     ------
     InputError
-        w ≤ 0, or so small that the map interpolates the data (then use `solve_noise_free`).
+        w ≤ 0.
     SolverError
         The λ of this w was not found to the tolerance.
     """
@@ -62,7 +63,6 @@ def solve_sqrt(
         return solve(problem, w, tol=tol, method=method)
     low, high, state, best = 0.0, np.inf, None, None
     trace: list[tuple[float, float]] = []
-    smallest = 1e-12 * lam
     for _ in range(max_solves):
         solution = solve(problem, lam, tol=0.1 * tol, method=method, warm_start=state)
         state = solution.state
@@ -78,10 +78,6 @@ def solve_sqrt(
             low = max(low, lam)
         trace.append((np.log(lam), np.log(max(proposal, np.finfo(float).tiny) / lam)))
         lam = _next(trace, proposal, low, high)
-        if lam < smallest:
-            raise InputError(
-                f"w = {w:.3g} is so small that the map interpolates the samples; use a larger w, or solve_noise_free"
-            )
     raise SolverError(f"the λ of w = {w:.3g} was not found in {max_solves} solves (gap {best[0]:.1e}); relax tol")
 
 

@@ -19,13 +19,15 @@ def relay_with_drift():
 
 def bilinear_spring(inside=1.0, outside=400.0, width=0.5, damping=0.0):
     """ẍ = −inside·x − outside·(|x| − width)₊ sign(x) − damping·ẋ + u."""
+
     def cell(k, bias, G, g):
         return Cell([[0, 1], [-k, -damping]], [0, bias], [[0], [1]], G, g)
 
     k = inside + outside
     return PWASystem((cell(inside, 0, [[-1, 0], [1, 0]], [width, width]),
                       cell(k, outside * width, [[1, 0]], [-width]),
-                      cell(k, -outside * width, [[-1, 0]], [-width])), states=("x", "v"), inputs=("u",))  # fmt: skip
+                      cell(k, -outside * width, [[-1, 0]], [-width])),
+                     states=("x", "v"), inputs=("u",))  # fmt: skip
 
 
 def test_one_cell_is_the_matrix_exponential():
@@ -123,7 +125,8 @@ def test_sliding_along_a_line_follows_the_mixture():
 
 
 def test_sliding_that_is_not_affine_is_refused():
-    system = PWASystem((Cell([[0, 0], [1, 0]], [1, -1], G=[[0, 1]], g=[0]), Cell([[1, 0], [0, 0]], [0, 2], G=[[0, -1]], g=[0])))
+    system = PWASystem((Cell([[0, 0], [1, 0]], [1, -1], G=[[0, 1]], g=[0]),
+                        Cell([[1, 0], [0, 0]], [0, 2], G=[[0, -1]], g=[0])))
     run = system.simulate([0.0, 3.0], None, [-0.5, 0.2], sliding="filippov")
     assert run.status is PWAStatus.SLIDING and "not affine" in run.message
     assert run.slides[0].cell is None
@@ -132,7 +135,8 @@ def test_sliding_that_is_not_affine_is_refused():
 def test_two_flows_that_part_are_flagged_as_ambiguous():
     part = PWASystem((Cell([[0.0]], [1.0], G=[[1.0]], g=[0]), Cell([[0.0]], [-1.0], G=[[-1.0]], g=[0])))
     onto = PWASystem((Cell([[0.0]], [1.0], G=[[-1.0]], g=[0.0]), Cell([[0.0]], [1.0], G=[[1.0]], g=[0.0])))
-    assert part.simulate([0.0, 0.5], None, [0.0]).states[-1, 0] == pytest.approx(0.5)  # the first cell is taken
+    taken = part.simulate([0.0, 0.5], None, [0.0])
+    assert taken.states[-1, 0] == pytest.approx(0.5)  # the first cell
     assert not onto.simulate([0.0, 2.0], None, [-1.0]).crossings.ambiguous.any()
     corner = PWASystem((Cell(np.zeros((2, 2)), [1, 0], G=[[-1, 0]], g=[0]),
                         Cell(np.zeros((2, 2)), [1, 1], G=[[1, 0], [0, 1]], g=[0, 0]),
@@ -143,7 +147,8 @@ def test_two_flows_that_part_are_flagged_as_ambiguous():
 
 def nested_relays():
     """Two relays that turn round each other: a classic with infinitely many crossings in a finite time."""
-    cells = [Cell(np.zeros((2, 2)), [-s + 2 * r, -2 * s - r], G=[[s, 0], [0, r]], g=[0, 0]) for s in (1, -1) for r in (1, -1)]
+    cells = [Cell(np.zeros((2, 2)), [-s + 2 * r, -2 * s - r], G=[[s, 0], [0, r]], g=[0, 0])
+             for s in (1, -1) for r in (1, -1)]
     return PWASystem(tuple(cells))
 
 

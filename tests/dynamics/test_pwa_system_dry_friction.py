@@ -1,4 +1,4 @@
-"""Dry friction with a true standstill: closed forms, an ODE solver, and Filippov sliding as independent routes."""
+"""Dry friction with a true standstill: closed forms, an ODE solver, and Filippov sliding as judges."""
 
 import numpy as np
 import pytest
@@ -73,7 +73,8 @@ def test_standstill_equals_filippov_sliding():
     bias = K * beta * push
     guards = [[(-twist, beta, 1), (twist, beta, 2)], [(twist, -beta, 0)], [(-twist, -beta, 0)]]
     B = [[0], [1 / J], [0], [0]]
-    drive = drive_tables([free, closed, closed], [0 * bias, -bias, bias], B, guards, (1,), (J,), (DryFriction(F),))
+    drive = drive_tables([free, closed, closed], [0 * bias, -bias, bias], B, guards, (1,), (J,),
+                         (DryFriction(F),))
     cells = []
     for A, a, rows in zip((free, closed, closed), (0 * bias, -bias, bias), guards, strict=True):
         for sign in (1, -1):
@@ -91,7 +92,8 @@ def test_standstill_equals_filippov_sliding():
 def test_refining_the_step_changes_nothing():
     rng = np.random.default_rng(0)
     u = np.repeat(rng.standard_normal(60), 5)
-    results = [run(mass(DryFriction(0.4, 0.9, 0.2, 1), 20.0, 0.1, step_scale=s), [0, 0], u, 0.02)[0] for s in (1, 0.5, 0.2)]
+    results = [run(mass(DryFriction(0.4, 0.9, 0.2, 1), 20.0, 0.1, step_scale=s), [0, 0], u, 0.02)[0]
+               for s in (1, 0.5, 0.2)]
     for other in results[1:]:
         np.testing.assert_allclose(other, results[0], atol=1e-10)
 

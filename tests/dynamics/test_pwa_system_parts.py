@@ -17,7 +17,8 @@ from pwaid.systems.yamada2018 import TwoInertia, closed_loop, damping, yamada201
 
 def two_pieces(gap=0.0, right=-3.0):
     """ẋ = −x left of 1, right·(x − 1) − 1 + gap right of 1."""
-    return PWASystem((Cell([[-1.0]], G=[[-1.0]], g=[1.0]), Cell([[right]], [-right - 1 + gap], G=[[1.0]], g=[-1.0])))
+    return PWASystem((Cell([[-1.0]], G=[[-1.0]], g=[1.0]),
+                      Cell([[right]], [-right - 1 + gap], G=[[1.0]], g=[-1.0])))
 
 
 def test_a_continuous_system_has_continuous_borders():
@@ -28,7 +29,8 @@ def test_a_continuous_system_has_continuous_borders():
 
 def test_a_jump_is_reported_with_place_and_size():
     (border,) = two_pieces(gap=0.25).continuity()
-    assert not border.continuous and border.jump == pytest.approx(0.25) and border.where == pytest.approx([1.0])
+    assert not border.continuous
+    assert border.jump == pytest.approx(0.25) and border.where == pytest.approx([1.0])
 
 
 def test_backlash_jumps_by_its_damping_times_the_twist_speed():
@@ -57,7 +59,8 @@ def test_closed_loop_cells_are_the_pairs():
 
 def test_feedback_equals_the_hand_made_loop():
     plant = PWASystem((Cell([[-1.0]], B=[[1.0]]),), ("x",), ("u",), ("x",))
-    integrator = PWASystem((Cell([[0.0]], B=[[1.0, -1.0]], C=[[2.0]], D=[[0.5, -0.5]]),), ("z",), ("r", "x"), ("u",))
+    integrator = PWASystem((Cell([[0.0]], B=[[1.0, -1.0]], C=[[2.0]], D=[[0.5, -0.5]]),), ("z",),
+                           ("r", "x"), ("u",))
     loop = close_loop(plant, integrator)
     np.testing.assert_allclose(loop.cells[0].A, [[-1.5, 2.0], [-1.0, 0.0]])
     np.testing.assert_allclose(loop.cells[0].B, [[0.5], [1.0]])
@@ -69,7 +72,8 @@ def test_a_switching_controller_moves_its_guards_into_the_loop():
     none = np.zeros((0, 0))
     saturated = PWASystem(tuple(
         Cell(none, B=np.zeros((0, 2)), G=np.zeros((len(H), 0)), H=H, g=g, C=np.zeros((1, 0)), c=[c], D=[D])
-        for H, g, c, D in [([[1, 1], [-1, -1]], [1, 1], 0, [-1, -1]), ([[1, 1]], [-1], -1, [0, 0]), ([[-1, -1]], [-1], 1, [0, 0])]
+        for H, g, c, D in [([[1, 1], [-1, -1]], [1, 1], 0, [-1, -1]), ([[1, 1]], [-1], -1, [0, 0]),
+                           ([[-1, -1]], [-1], 1, [0, 0])]
     ), (), ("p", "v"), ("u",))  # fmt: skip
     loop = close_loop(plant, saturated)
     assert len(loop.cells) == 3
@@ -83,7 +87,8 @@ def test_unconnected_and_algebraic_loops_are_refused():
     with pytest.raises(InputError, match="share no signal"):
         close_loop(plant, damping("linear"))  # its output is T_B, which the plant does not take
     through = PWASystem((Cell([[-1.0]], B=[[1.0]], C=[[1.0]], D=[[1.0]]),), ("x",), ("u",), ("y",))
-    gain = PWASystem((Cell(np.zeros((0, 0)), B=np.zeros((0, 1)), C=np.zeros((1, 0)), D=[[-1.0]]),), (), ("y",), ("u",))
+    gain = PWASystem((Cell(np.zeros((0, 0)), B=np.zeros((0, 1)), C=np.zeros((1, 0)), D=[[-1.0]]),), (),
+                     ("y",), ("u",))
     with pytest.raises(InputError, match="algebraic loop"):
         close_loop(through, gain)
 
@@ -99,7 +104,8 @@ def test_zero_order_hold_is_exact_within_a_cell():
 
 def test_tustin_is_the_bilinear_transfer_function():
     rng = np.random.default_rng(3)
-    A, B, C, D = -np.eye(3) + 0.3 * rng.standard_normal((3, 3)), rng.standard_normal((3, 1)), [[1.0, 2, 0]], [[0.4]]
+    A, B = -np.eye(3) + 0.3 * rng.standard_normal((3, 3)), rng.standard_normal((3, 1))
+    C, D = [[1.0, 2.0, 0.0]], [[0.4]]
     sampled = discretise(PWASystem((Cell(A, B=B, C=C, D=D),)), 0.05, "tustin")
     u = rng.standard_normal((200, 1))
     u[0] = 0.0  # both realisations then start from the same history
@@ -123,7 +129,10 @@ def test_tustin_error_falls_with_the_square_of_the_step():
     assert 3.5 < errors[0] / errors[1] < 4.5
 
 
-@pytest.mark.parametrize("arguments, message", [((0.0,), "positive sampling time"), ((0.1, "euler"), "'zoh' or 'tustin'")])
+@pytest.mark.parametrize("arguments, message", [
+    ((0.0,), "positive sampling time"),
+    ((0.1, "euler"), "'zoh' or 'tustin'"),
+])  # fmt: skip
 def test_bad_sampling_is_refused(arguments, message):
     with pytest.raises(InputError, match=message):
         discretise(two_pieces(), *arguments)
@@ -145,7 +154,8 @@ def test_python_control_simulates_the_same_motion():
     t = np.linspace(0, 0.1, 201)
     u = 0.2 * np.ones((2, t.size)) * [[1.0], [0.0]]
     plant = yamada2018_two_inertia()
-    response = control.input_output_response(to_nlsys(plant), t, u, solve_ivp_kwargs={"rtol": 1e-8, "atol": 1e-10})
+    response = control.input_output_response(to_nlsys(plant), t, u,
+                                             solve_ivp_kwargs={"rtol": 1e-8, "atol": 1e-10})
     ours = plant.simulate(t, u.T)
     np.testing.assert_allclose(response.outputs.T, ours.outputs, atol=2e-3)
 
@@ -167,7 +177,8 @@ def test_hyperplanes_cut_the_space_into_cells_with_an_interior():
 
 def test_phase_portrait_returns_curves_and_field():
     system = PWASystem((Cell([[0, 1], [-1, -0.5]]),), ("x", "v"))
-    portrait = phase_portrait(system, ("x", "v"), [[1, 0], [0, 2]], np.linspace(0, 5, 51), bounds=((-2, 2), (-1, 1)), shape=(5, 3))
+    portrait = phase_portrait(system, ("x", "v"), [[1, 0], [0, 2]], np.linspace(0, 5, 51),
+                              bounds=((-2, 2), (-1, 1)), shape=(5, 3))
     assert len(portrait.curves) == 2 and portrait.curves[0].shape == (51, 2)
     assert portrait.field.shape == (3, 5, 2) and (portrait.cells == 0).all()
     np.testing.assert_allclose(portrait.field[2, 4], [1, -2.5])

@@ -30,7 +30,8 @@ def test_acceleration_is_the_forward_difference():
 def test_steady_speeds_balance_the_map():
     for i, speed in ((1.5, 40.0), (-1.5, -32.0)):
         end = QUIET.respond(np.full(400, i)).speed[-1]
-        assert end == pytest.approx(speed, abs=1e-6) and QUIET.acceleration(i, end) == pytest.approx(0.0, abs=1e-4)
+        assert end == pytest.approx(speed, abs=1e-6)
+        assert QUIET.acceleration(i, end) == pytest.approx(0.0, abs=1e-4)
 
 
 def test_difference_approaches_the_map_as_sampling_gets_fast():

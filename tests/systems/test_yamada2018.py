@@ -5,7 +5,14 @@ import pytest
 
 from pwaid.dynamics.pwa_simulation import PWAStatus
 from pwaid.errors import InputError
-from pwaid.systems.yamada2018 import TwoInertia, closed_loop, damping, pd_gains, position_loop, yamada2018_two_inertia
+from pwaid.systems.yamada2018 import (
+    TwoInertia,
+    closed_loop,
+    damping,
+    pd_gains,
+    position_loop,
+    yamada2018_two_inertia,
+)
 
 STEP = 2e-5
 
@@ -86,8 +93,9 @@ def test_limit_cycle_without_damping_and_none_with_it():
 
 
 def test_disturbance_responses():
-    """Figs. 6-7: linear damping lowers the impact and gives the larger angle; switched is at least as good as none."""
-    loads = {kind: respond(kind, 0.3, 0.0, [(0.010, -0.5), (0.15, 1.0)])[:2] for kind in ("none", "linear", "switched")}
+    """Figs. 6-7: linear damping lowers the impact at the price of a larger angle; switched beats none."""
+    loads = {kind: respond(kind, 0.3, 0.0, [(0.010, -0.5), (0.15, 1.0)])[:2]
+             for kind in ("none", "linear", "switched")}
     early = {kind: 1e3 * -y["theta_L"][t < 0.15].min() for kind, (t, y) in loads.items()}
     late = {kind: 1e3 * y["theta_L"].max() for kind, (_, y) in loads.items()}
     assert (early["none"], early["linear"], early["switched"]) == pytest.approx((49.9, 67.3, 49.5), abs=0.06)
@@ -110,7 +118,7 @@ def test_the_free_motions_of_figure_8_converge(twist):
 
 @pytest.mark.parametrize("kind", ["none", "linear", "switched"])
 def test_refining_the_step_changes_nothing(kind):
-    t, _, run = respond(kind, 0.5, step=1e-3)
+    _t, _, run = respond(kind, 0.5, step=1e-3)
     for scale in (0.5, 0.2):
         other = respond(kind, 0.5, step=1e-3, step_scale=scale)[2]
         np.testing.assert_allclose(other.states, run.states, atol=1e-9)

@@ -1,4 +1,4 @@
-"""The simulated bench: exact plant, sampled controllers, sensors, dry friction, and the measurement of the gap."""
+"""The simulated bench: exact plant, sampled controllers, sensors, dry friction, and the gap."""
 
 import json
 import time
@@ -9,16 +9,16 @@ import pytest
 from pwaid.dynamics.dry_friction import DryFriction
 from pwaid.dynamics.pwa_discrete import discretise
 from pwaid.errors import InputError
-from pwaid.systems.yamada2018 import TwoInertia, closed_loop, damping, pd_gains, position_loop, yamada2018_two_inertia
-from pwaid.systems.yamada2018_bench import (
-    Bench,
-    LoopController,
-    half_gap,
-    nominal_simulator,
-    run_loop,
-    slow_sine,
-    step_reference,
+from pwaid.systems.yamada2018 import (
+    TwoInertia,
+    closed_loop,
+    damping,
+    pd_gains,
+    position_loop,
+    yamada2018_two_inertia,
 )
+from pwaid.systems.yamada2018_bench import Bench, LoopController, half_gap, slow_sine, step_reference
+from pwaid.systems.yamada2018_loop import nominal_simulator, run_loop
 
 IDEAL = Bench(encoder_bits=None)
 REFERENCE = step_reference(0.6)
@@ -53,7 +53,8 @@ def test_the_sampled_controller_is_tustins():
 def test_fast_sampling_approaches_the_continuous_loop():
     errors = []
     for rate in (10_000.0, 40_000.0):
-        run = Bench(encoder_bits=None, rate=rate).closed_loop(step_reference(0.12, rate), LoopController("none", rate=rate))
+        bench, controller = Bench(encoder_bits=None, rate=rate), LoopController("none", rate=rate)
+        run = bench.closed_loop(step_reference(0.12, rate), controller)
         t = run.time
         other = closed_loop("none").simulate(t, np.column_stack([run.reference, 0 * t]))
         errors.append(np.abs(run.states[:, 2] - other.states[:, 2]).max())
@@ -64,7 +65,8 @@ def test_motor_friction_lowers_the_overshoot_and_ends_the_limit_cycle():
     reference, result = step_reference(2.0), []
     for level in (0.0, 0.08):
         run = Bench(motor_friction=DryFriction(level)).closed_loop(reference, LoopController("none"))
-        result.append((1e3 * (run.theta_L.max() - 0.30), 1e3 * np.ptp(run.theta_L[-1000:]), run.at_rest[-1, 0]))
+        result.append((1e3 * (run.theta_L.max() - 0.30), 1e3 * np.ptp(run.theta_L[-1000:]),
+                       run.at_rest[-1, 0]))
     assert result[0][0] == pytest.approx(18, abs=0.5) and result[0][1] > 8 and not result[0][2]
     assert result[1][0] == pytest.approx(10, abs=0.5) and result[1][1] == 0.0 and result[1][2]
 
@@ -83,14 +85,16 @@ def test_refining_the_step_changes_nothing(seed):
 
 
 def test_oversampling_shows_the_same_motion():
-    run, fine = (Bench(motor_friction=DryFriction(0.03, 0.05, 0.2)).closed_loop(REFERENCE, oversample=k) for k in (1, 4))
+    run, fine = (Bench(motor_friction=DryFriction(0.03, 0.05, 0.2)).closed_loop(REFERENCE, oversample=k)
+                 for k in (1, 4))
     np.testing.assert_allclose(fine.states[::4], run.states, atol=1e-9)
     assert fine.time[1] == pytest.approx(1e-4) and fine.time.size == 4 * run.time.size
 
 
 def test_standstill_is_exact_and_slip_obeys_the_law():
     friction = DryFriction(0.05, 0.08, 0.2)
-    run = Bench(motor_friction=friction, encoder_bits=None).closed_loop(step_reference(1.0), LoopController("none"), oversample=40)
+    bench = Bench(motor_friction=friction, encoder_bits=None)
+    run = bench.closed_loop(step_reference(1.0), LoopController("none"), oversample=40)
     rest = run.at_rest[:, 0]
     assert rest.any() and (run.states[rest, 1] == 0).all()
     p = TwoInertia()
@@ -98,7 +102,8 @@ def test_standstill_is_exact_and_slip_obeys_the_law():
     slip = ~rest & (np.abs(run.states[:, 1]) > 0.5)
     smooth = slip[1:-1] & (run.contact[2:] == run.contact[:-2]) & (run.T_M[2:] == run.T_M[:-2])
     rate = (run.states[2:, 1] - run.states[:-2, 1])[smooth] / (2 * (run.time[1] - run.time[0]))
-    balance = (run.T_M - run.joint_torque - p.D_M * run.states[:, 1] - friction.torque(run.states[:, 1])) / p.J_M
+    losses = p.D_M * run.states[:, 1] + friction.torque(run.states[:, 1])
+    balance = (run.T_M - run.joint_torque - losses) / p.J_M
     np.testing.assert_allclose(rate, balance[1:-1][smooth], atol=1e-3 * np.abs(rate).max())
 
 
@@ -131,7 +136,7 @@ def test_any_plant_can_stand_in_the_loop():
     run = IDEAL.closed_loop(REFERENCE[:400], LoopController("linear"))
     system = nominal_simulator()
     assert system.input_labels == ["T_M"] and system.output_labels == ["theta_M", "theta_L", "T_s"]
-    t, T_M, y = run_loop(system, LoopController("linear"), REFERENCE[:400], substeps=40)
+    _t, T_M, y = run_loop(system, LoopController("linear"), REFERENCE[:400], substeps=40)
     np.testing.assert_allclose(y[:, 1], run.theta_L, atol=1e-4)
     np.testing.assert_allclose(T_M, run.T_M, atol=2e-2)
 

@@ -19,10 +19,11 @@ def _array(value, shape: tuple, what: str) -> np.ndarray:
         array = np.zeros([length or 0 for length in shape])
     else:
         array = np.array(value, dtype=float)
-    fits = array.ndim == len(shape) and all(s is None or s == t for s, t in zip(shape, array.shape, strict=True))
+    fits = array.ndim == len(shape) and all(s in (None, t) for s, t in zip(shape, array.shape, strict=True))
     if not fits:
         wanted = "(" + ", ".join("any" if s is None else str(s) for s in shape) + ")"
-        raise InputError(f"{what} has shape {array.shape}; expected {wanted}; check the sizes of the cell's matrices")
+        raise InputError(f"{what} has shape {array.shape}; expected {wanted}; check the sizes of the cell's "
+                         "matrices")
     if not np.isfinite(array).all():
         raise InputError(f"{what} holds NaN or infinity; every entry of a cell's matrices must be finite")
     array.flags.writeable = False

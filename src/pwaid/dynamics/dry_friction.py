@@ -1,11 +1,13 @@
-"""Drives with contacts and dry friction, with a true standstill: J ω̇ = torque − F(ω), and ω = 0 while |torque| ≤ F_s.
+"""Drives with contacts and dry friction, with a true standstill: J ω̇ = torque − F(ω), and ω = 0 while
+|torque| ≤ F_s.
 
-The drive is affine in each contact, ẋ = A_c x + a_c + B u while G_c x + g_c ≥ 0, apart from the dry friction on some
-of its velocities, F(ω) = sign(ω) [F_c + (F_s − F_c) exp(−|ω/v_s|^δ)] with δ = 1 or 2. A velocity slips one way, slips
-the other way, or stands still; standing still ends when the torque on it exceeds F_s, and every change is located.
-Within one such mode the motion is a Taylor series of degree 16 whose coefficients, those of the exponential included,
-come from recurrences. The step is halved until the series has converged to rounding; contacts, standstills and
-releases are polynomials of time whose first crossing `pwaid.dynamics.events` finds.
+The drive is affine in each contact, ẋ = A_c x + a_c + B u while G_c x + g_c ≥ 0, apart from the dry
+friction on some of its velocities, F(ω) = sign(ω) [F_c + (F_s − F_c) exp(−|ω/v_s|^δ)] with δ = 1 or 2. A
+velocity slips one way, slips the other way, or stands still; standing still ends when the torque on it
+exceeds F_s, and every change is located. Within one such mode the motion is a Taylor series of degree 16
+whose coefficients, those of the exponential included, come from recurrences. The step is halved until the
+series has converged to rounding; contacts, standstills and releases are polynomials of time whose first
+crossing `pwaid.dynamics.events` finds.
 """
 
 from __future__ import annotations
@@ -28,7 +30,8 @@ MOST_EVENTS = 1000  # within one call of `advance`
 
 @dataclass(frozen=True)
 class DryFriction:
-    """Dry friction torque sign(ω) [coulomb + (static − coulomb) exp(−|ω/velocity|^exponent)], independent of position.
+    """Dry friction torque sign(ω) [coulomb + (static − coulomb) exp(−|ω/velocity|^exponent)], independent
+    of position.
 
     Attributes
     ----------
@@ -50,10 +53,12 @@ class DryFriction:
     def __post_init__(self):
         static = self.coulomb if self.static is None else self.static
         if not (np.isfinite(self.coulomb) and np.isfinite(static) and 0 <= self.coulomb <= static):
-            raise InputError(f"friction levels coulomb = {self.coulomb}, static = {static}; expected 0 <= coulomb <= static")
+            raise InputError(f"friction levels coulomb = {self.coulomb}, static = {static}; expected 0 <= "
+                             "coulomb <= static")
         if not (np.isfinite(self.velocity) and self.velocity > 0) or self.exponent not in (1, 2):
             raise InputError(
-                f"Stribeck velocity {self.velocity} and exponent {self.exponent}; expected a positive velocity and 1 or 2"
+                f"Stribeck velocity {self.velocity} and exponent {self.exponent}; "
+                "expected a positive velocity and 1 or 2"
             )
         object.__setattr__(self, "static", float(static))
 
@@ -65,7 +70,9 @@ class DryFriction:
 
 
 class Drive(NamedTuple):
-    """A drive as the compiled loop wants it: c contacts, n states, p inputs, f velocities with dry friction."""
+    """A drive as the compiled loop wants it: c contacts, n states, p inputs, f velocities with dry
+    friction.
+    """
 
     A: np.ndarray  # (c, n, n)
     a: np.ndarray  # (c, n)
@@ -91,8 +98,8 @@ def drive_tables(A, a, B, guards, velocity_states=(), inertias=(), frictions=(),
     guards : sequence of sequences of (row, constant, following)
         For each contact: row·x + constant ≥ 0 holds in it; when it ends, contact number `following` comes.
     velocity_states, inertias, frictions : sequences
-        Which states are velocities with dry friction, their inertias, and a `DryFriction` each; a friction with static
-        level zero is left out.
+        Which states are velocities with dry friction, their inertias, and a `DryFriction` each; a friction
+        with static level zero is left out.
     step_scale : float
         Multiplies the internal step, for refinement studies.
     """
@@ -117,14 +124,17 @@ def check_events(lowest: int) -> None:
     """Raise when a run saw `advance` give up: `lowest` is the smallest number that it returned."""
     if lowest < 0:
         raise SolverError(
-            f"more than {MOST_EVENTS} changes of contact or standstill in one sampling interval: they accumulate; "
-            "check stiffness, inertia and friction for values that make no physical sense, or sample faster"
+            f"more than {MOST_EVENTS} changes of contact or standstill in one sampling interval: they "
+            "accumulate; check stiffness, inertia and friction for values that make no physical sense, or "
+            "sample faster"
         )
 
 
 @njit(cache=True)
 def _series(drive, mode, x, u, h, X):
-    """Fill X (DEGREE + 1, n): x(t + s h') = Σ X_k s^k in `mode` = (contact, slip directions…); return h' ≤ h."""
+    """Fill X (DEGREE + 1, n): x(t + s h') = Σ X_k s^k in `mode` = (contact, slip directions…); return h' ≤
+    h.
+    """
     n, contact, number = x.size, mode[0], drive.inertia.size
     E, w = np.zeros((number, DEGREE + 1)), np.zeros((number, DEGREE + 1))
     X[0] = x
@@ -242,7 +252,7 @@ def _settle_friction(drive, mode, x, u, f, h, X, c) -> bool:
         mode[1 + f] = 0
     else:
         mode[1 + f] = 1 if torque > 0 else -1
-        if abs(torque) <= static + doubt:  # on the limit: stands still unless the torque is about to exceed it
+        if abs(torque) <= static + doubt:  # on the limit: rests unless it is about to be exceeded
             used = _series(drive, mode, x, u, h, X)
             tol = _slip_guard(drive, mode[0], f, mode[1 + f], X, used, c)
             if entry_sign(c, tol) <= 0:
@@ -269,7 +279,8 @@ def settle(drive, mode, x, u):
                     mode[1 + f] = wanted
                 else:
                     changed = _settle_friction(drive, mode, x, u, f, h, X, c) or changed
-        _series(drive, mode, x, u, h, X)
+        if drive.rows[contact] > 0:
+            _series(drive, mode, x, u, h, X)
         for row in range(drive.rows[contact]):
             tol = _contact_guard(drive, contact, row, X, c)
             if entry_sign(c, tol) < 0:
@@ -313,7 +324,8 @@ def _next_event(drive, mode, X, u, h):
 
 @njit(cache=True)
 def advance(drive, mode, x, u, dt):
-    """Move x and mode (contact, slip direction of each velocity) on by dt with u held; the number of events on the way.
+    """Move x and mode (contact, slip direction of each velocity) on by dt with u held; the number of events
+    on the way.
 
     A negative number means that events accumulated (more than `MOST_EVENTS` in dt): x is then short of dt.
     """

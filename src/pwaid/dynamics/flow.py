@@ -166,11 +166,32 @@ def _at(X, s, x):
 
 @njit(cache=True)
 def _accumulates(times, count, number, within):
-    """Whether the last `number` crossings lie closer than `within`, the later half closer than the earlier."""
+    """Whether the last `number` crossings lie closer than `within`, the later half closer than the
+    earlier.
+    """
     if count < number:
         return False
     last, middle, first = times[count - 1], times[count - 1 - number // 2], times[count - number]
     return last - first < within and last - middle <= 0.9 * (middle - first)
+
+
+@njit(cache=True)
+def _change_cell(tab, x, u, state, now, events, row, span):
+    """Choose the cell after guard `row` has ended (-1: after a jump of the input), and record a change."""
+    e, cell = state[0], state[1]
+    following, ambiguous = choose(tab, x, u, cell, span)
+    if following == cell:
+        return DONE
+    if e >= events.time.size:
+        return FULL
+    events.time[e], events.x[e] = now[0], x
+    events.before[e], events.after[e], events.row[e] = cell, following, row
+    events.ambiguous[e] = ambiguous
+    if following < 0:
+        return NO_CELL  # the caller decides, and completes the record
+    state[0] += 1
+    state[1] = following
+    return DONE
 
 
 @njit(cache=True)
@@ -198,62 +219,40 @@ def run(tab, time, inputs, x, state, now, states, cells, events, limit, zeno_eve
     X = np.empty((DEGREE + 1, x.size))
     span = time[N - 1] - time[0]
     while True:
-        k = state[3]
-        cell = state[1]
-        u = inputs[k]
-        hold_end = k + 1  # next sample at which the input changes
+        u = inputs[state[3]]
+        hold_end = state[3] + 1  # next sample at which the input changes
         while hold_end < N - 1 and np.all(inputs[hold_end] == u):
             hold_end += 1
         while now[0] < time[hold_end]:
+            cell = state[1]
             h_full = min(tab.step[cell], span)
             h = min(h_full, time[hold_end] - now[0])
             taylor(tab, cell, x, u, h_full, X)
             s, row = _first_event(tab, cell, X, u, h, h_full)
-            crossed = s <= 1.0
-            reach = now[0] + h * s if crossed else (time[hold_end] if h < h_full else now[0] + h)
-            # a sample at the very time of a crossing belongs to the cell after it
-            while time[state[2]] < reach:
+            reach = time[hold_end] if h < h_full else now[0] + h
+            if s <= 1.0:
+                reach = now[0] + h * s
+            while time[state[2]] < reach:  # a sample at the time of a crossing belongs to the cell after it
                 _at(X, (time[state[2]] - now[0]) / h_full, states[state[2]])
                 cells[state[2]] = cell
                 state[2] += 1
-            _at(X, (h * s if crossed else reach - now[0]) / h_full, x)
+            _at(X, (h * s if s <= 1.0 else reach - now[0]) / h_full, x)
             now[0] = reach
             if not np.all(np.abs(x) <= limit):
                 return DIVERGED
-            if crossed:
-                e = state[0]
-                if e >= events.time.size:
-                    return FULL
-                following, ambiguous = choose(tab, x, u, cell, span)
-                events.time[e], events.x[e] = now[0], x
-                events.before[e], events.after[e], events.row[e] = cell, following, row
-                events.ambiguous[e] = ambiguous
-                if following != cell:
-                    state[0] += 1
-                if following < 0:
-                    state[0] = e  # the caller decides, and records
-                    return NO_CELL
-                cell = following
-                state[1] = cell
+            if s <= 1.0:
+                stop = _change_cell(tab, x, u, state, now, events, row, span)
+                if stop != DONE:
+                    return stop
                 if _accumulates(events.time, state[0], zeno_events, zeno_time):
                     return ZENO
         state[3] = hold_end
         if hold_end == N - 1:
             if state[2] < N:
                 states[N - 1] = x
-                cells[N - 1] = cell
+                cells[N - 1] = state[1]
                 state[2] = N
             return DONE
-        following, ambiguous = choose(tab, x, inputs[hold_end], cell, span)
-        if following != cell:
-            e = state[0]
-            if e >= events.time.size:
-                return FULL
-            events.time[e], events.x[e] = now[0], x
-            events.before[e], events.after[e], events.row[e] = cell, following, -1
-            events.ambiguous[e] = ambiguous
-        if following < 0:
-            return NO_CELL
-        if following != cell:
-            state[0] += 1
-        state[1] = following
+        stop = _change_cell(tab, x, inputs[hold_end], state, now, events, -1, span)
+        if stop != DONE:
+            return stop

@@ -41,7 +41,8 @@ class PhasePortrait:
     cells: np.ndarray
 
 
-def phase_portrait(system: PWASystem, axes, initial_states, time, inputs=None, bounds=None, shape=(21, 21), at=None,
+def phase_portrait(system: PWASystem, axes, initial_states, time, inputs=None, bounds=None, shape=(21, 21),
+                   at=None,
                    **options) -> PhasePortrait:  # fmt: skip
     """Trajectories from several initial states, and the velocity field, in the plane of two states.
 
@@ -74,7 +75,8 @@ def phase_portrait(system: PWASystem, axes, initial_states, time, inputs=None, b
         curves.append(np.concatenate([path.states, path.crossings.state])[order][:, pick])
     grid, field, cells = np.empty((0, 0, 2)), np.empty((0, 0, 2)), np.empty((0, 0), dtype=int)
     if bounds is not None:
-        grid = np.stack(np.meshgrid(*(np.linspace(*b, k) for b, k in zip(bounds, shape, strict=True))), axis=-1)
+        grid = np.stack(np.meshgrid(*(np.linspace(*b, k) for b, k in zip(bounds, shape, strict=True))),
+                        axis=-1)
         field, cells = np.full(grid.shape, np.nan), np.full(grid.shape[:2], -1)
         for index in np.ndindex(grid.shape[:2]):
             x = np.zeros(len(system.states)) if at is None else np.array(at, dtype=float)

@@ -93,10 +93,12 @@ def _largest(M, m0, G, g, s, s0, bounds):
         if np.abs(np.append(row - (row @ s) * s, constant - (row @ s) * s0)).max() <= ZERO * size:
             continue  # a multiple of the facet's own equation
         for sign in (1.0, -1.0):
-            found = linprog(-sign * row, A_ub=-G, b_ub=g, A_eq=s[None, :], b_eq=[-s0], bounds=box, method="highs")
+            found = linprog(-sign * row, A_ub=-G, b_ub=g, A_eq=s[None, :], b_eq=[-s0], bounds=box,
+                            method="highs")
             if found.status == 3:
                 wide = [(-1e6 if lo is None else lo, 1e6 if hi is None else hi) for lo, hi in box]
-                found = linprog(-sign * row, A_ub=-G, b_ub=g, A_eq=s[None, :], b_eq=[-s0], bounds=wide, method="highs")
+                found = linprog(-sign * row, A_ub=-G, b_ub=g, A_eq=s[None, :], b_eq=[-s0], bounds=wide,
+                                method="highs")
                 return np.inf, found.x, k
             if found.status == 0 and abs(row @ found.x + constant) > best[0]:
                 best = (float(abs(row @ found.x + constant)), found.x, k)

@@ -70,12 +70,14 @@ def from_nlsys(system: control.NonlinearIOSystem, cells, tol: float = 1e-8, rng=
         A cell without interior, or a right-hand side that is not affine there; says where and by how much.
     """
     if not system.isctime():
-        raise InputError(f"system {system.name!r} is sampled with dt = {system.dt}; expected a continuous-time system")
+        raise InputError(f"system {system.name!r} is sampled with dt = {system.dt}; expected a "
+                         "continuous-time system")
     rng = np.random.default_rng(0) if rng is None else rng
     n, m = system.nstates, system.ninputs
 
     def evaluate(x, u):
-        return np.concatenate([np.atleast_1d(system.dynamics(0.0, x, u)), np.atleast_1d(system.output(0.0, x, u))])
+        return np.concatenate([np.atleast_1d(system.dynamics(0.0, x, u)),
+                               np.atleast_1d(system.output(0.0, x, u))])
 
     found = []
     for k, (G, g) in enumerate(cells):
@@ -99,5 +101,7 @@ def from_nlsys(system: control.NonlinearIOSystem, cells, tol: float = 1e-8, rng=
                     "cut the cell where the law changes, or approximate the law by a PWA map first"
                 )
         constant = base - by_x @ centre
-        found.append(Cell(A=by_x[:n], a=constant[:n], B=by_u[:n], G=G, g=g, C=by_x[n:], c=constant[n:], D=by_u[n:]))
-    return PWASystem(tuple(found), system.state_labels, system.input_labels, system.output_labels, system.name)
+        found.append(Cell(A=by_x[:n], a=constant[:n], B=by_u[:n], G=G, g=g, C=by_x[n:], c=constant[n:],
+                          D=by_u[n:]))
+    return PWASystem(tuple(found), system.state_labels, system.input_labels, system.output_labels,
+                     system.name)

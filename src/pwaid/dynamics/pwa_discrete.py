@@ -67,7 +67,8 @@ class DiscretePWASystem:
         for k in range(len(u)):
             inside = [i for i, cell in enumerate(self.cells) if (cell.margin(x, u[k]) >= 0).all()]
             if not inside:
-                raise InputError(f"sample {k}: x = {x} lies in no cell; the cells do not cover the space there")
+                raise InputError(f"sample {k}: x = {x} lies in no cell; the cells do not cover the space "
+                                 "there")
             cell = self.cells[inside[0]]
             states[k], outputs[k] = x, cell.output(x, u[k])
             following = u[min(k + 1, len(u) - 1)]
@@ -98,7 +99,8 @@ def discretise(system: PWASystem, dt: float, method: str = "zoh") -> DiscretePWA
         A, a, B, E = _zoh(cell, dt) if method == "zoh" else _tustin(cell, dt)
         cells.append(cell.replace(A=A, a=a, B=B))
         following.append(E)
-    return DiscretePWASystem(tuple(cells), tuple(following), dt, method, system.states, system.inputs, system.outputs)
+    return DiscretePWASystem(tuple(cells), tuple(following), dt, method, system.states, system.inputs,
+                             system.outputs)
 
 
 def _zoh(cell: Cell, dt: float):
@@ -112,5 +114,6 @@ def _zoh(cell: Cell, dt: float):
 def _tustin(cell: Cell, dt: float):
     n = cell.A.shape[0]
     left = np.eye(n) - 0.5 * dt * cell.A
-    A, a, B = (np.linalg.solve(left, part) for part in (np.eye(n) + 0.5 * dt * cell.A, dt * cell.a, 0.5 * dt * cell.B))
+    right = (np.eye(n) + 0.5 * dt * cell.A, dt * cell.a, 0.5 * dt * cell.B)
+    A, a, B = (np.linalg.solve(left, part) for part in right)
     return A, a, B, B

@@ -50,8 +50,9 @@ def close_loop(plant: PWASystem, controller: PWASystem, name: str = "closed loop
     driven = [u for u in plant.inputs if u in controller.outputs]
     if not measured or not driven:
         raise InputError(
-            f"plant (inputs {plant.inputs}, outputs {plant.outputs}) and controller (inputs {controller.inputs}, "
-            f"outputs {controller.outputs}) share no signal in {'the feedback' if driven else 'the forward'} direction; "
+            f"plant (inputs {plant.inputs}, outputs {plant.outputs}) and controller (inputs "
+            f"{controller.inputs}, outputs {controller.outputs}) share no signal in the "
+            f"{'feedback' if driven else 'forward'} direction; "
             "name the measured and the driven signals alike"
         )
     references = tuple(u for u in controller.inputs if u not in measured)
@@ -72,8 +73,8 @@ def _pair(plant: PWASystem, controller: PWASystem, p: Cell, c: Cell, external) -
     to_ctrl_u, ext_to_ctrl = _picker(controller.inputs, plant.outputs), _picker(controller.inputs, external)
     if np.abs(to_ctrl_u @ p.D @ to_plant_u).max(initial=0.0) > 0:
         raise InputError(
-            f"plant cell {p.name!r}: a measured output depends on a driven input without delay (D is not zero), an "
-            "algebraic loop; give the controller or the plant a state in between"
+            f"plant cell {p.name!r}: a measured output depends on a driven input without delay (D is not "
+            "zero), an algebraic loop; give the controller or the plant a state in between"
         )
     n, k = p.A.shape[0], c.A.shape[0]
     # controller input v = Vx x + Vw w + v0; plant input u = Ux x + Uc xc + Uw w + u0

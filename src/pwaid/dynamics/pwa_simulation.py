@@ -121,14 +121,16 @@ def _checked(cells, time, inputs, x0, sliding) -> tuple[np.ndarray, np.ndarray, 
     n, m = cells[0].B.shape
     time = np.ascontiguousarray(time, dtype=float)
     if time.ndim != 1 or time.size < 2 or not np.isfinite(time).all() or not (np.diff(time) > 0).all():
-        raise InputError("time must be at least two finite, strictly increasing values in seconds; sort it, drop repeats")
+        raise InputError("time must be at least two finite, strictly increasing values in seconds; sort it, "
+                         "drop repeats")
     u = np.zeros((time.size, m)) if inputs is None else np.asarray(inputs, dtype=float)
     if u.ndim == 1 and m == 1:
         u = u[:, None]
     if u.ndim == 1 and u.size == m:
         u = np.tile(u, (time.size, 1))
     if u.shape != (time.size, m):
-        raise InputError(f"inputs have shape {u.shape}; expected ({time.size}, {m}): one row per time, held until the next")
+        raise InputError(f"inputs have shape {u.shape}; expected ({time.size}, {m}): one row per time, held "
+                         "until the next")
     x = np.zeros(n) if x0 is None else np.array(x0, dtype=float)
     if x.shape != (n,):
         raise InputError(f"x0 has shape {x.shape}; expected ({n},), one value per state")
@@ -184,7 +186,7 @@ class _Motion:
             return PWAStatus.SLIDING  # an intersection of surfaces: another neighbour pushes as well
         e = self.state[0]
         if e < self.events.time.size:
-            self.events.time[e], self.events.x[e] = self.now[0], self.x
+            self.events.time[e], self.events.x[e], self.events.ambiguous[e] = self.now[0], self.x, False
             self.events.before[e], self.events.after[e] = before, self.state[1]
             self.state[0] += 1
         return None
@@ -198,7 +200,8 @@ def simulate_cells(cells, time, inputs=None, x0=None, *, sliding="stop", limit=1
     zeno_time = 1e-7 * (time[-1] - time[0]) if zeno_time is None else zeno_time
     motion.state[1] = motion.choose()
     status = motion.slide(sliding) if motion.state[1] < 0 else None
-    codes = {DONE: PWAStatus.DONE, ZENO: PWAStatus.ZENO, DIVERGED: PWAStatus.DIVERGED, FULL: PWAStatus.TOO_MANY_EVENTS}
+    codes = {DONE: PWAStatus.DONE, ZENO: PWAStatus.ZENO, DIVERGED: PWAStatus.DIVERGED,
+             FULL: PWAStatus.TOO_MANY_EVENTS}
     while status is None:
         code = run(motion.tables, motion.time, motion.u, motion.x, motion.state, motion.now, motion.states,
                    motion.index, motion.events, limit, zeno_events, zeno_time)  # fmt: skip
@@ -245,9 +248,11 @@ def _trajectory(motion: _Motion, u: np.ndarray, status: PWAStatus) -> PWATraject
         message = f"at t = {motion.now[0]:.9g} s, x = {np.array2string(motion.x, precision=6)}: {message}"
     if status is PWAStatus.SLIDING and motion.slides:
         last = motion.slides[-1]
-        message += f" (between cells {last.cells[0]} and {last.cells[1]}{'; ' + last.reason if last.reason else ''})"
+        reason = f"; {last.reason}" if last.reason else ""
+        message += f" (between cells {last.cells[0]} and {last.cells[1]}{reason})"
     return PWATrajectory(
         time=motion.time[:count].copy(), states=motion.states[:count], inputs=u[:count].copy(),
         outputs=_outputs(motion, count, u), cells=motion.index[:count], crossings=crossings,
-        slides=tuple(motion.slides), status=status, stop_time=float(motion.now[0]), stop_state=motion.x, message=message,
+        slides=tuple(motion.slides), status=status, stop_time=float(motion.now[0]),
+        stop_state=motion.x, message=message,
     )  # fmt: skip

@@ -57,12 +57,14 @@ class PWASystem:
             raise InputError("a PWA system came without cells; give at least one Cell")
         sizes = [(*c.B.shape, c.C.shape[0]) for c in cells]
         if len(set(sizes)) != 1:
-            raise InputError(f"cells have (states, inputs, outputs) {sizes}; expected the same sizes in every cell")
+            raise InputError(f"cells have (states, inputs, outputs) {sizes}; expected the same sizes in "
+                             "every cell")
         object.__setattr__(self, "cells", cells)
         n, m, p = sizes[0]
         object.__setattr__(self, "states", _names(self.states, n, "x", "state"))
         object.__setattr__(self, "inputs", _names(self.inputs, m, "u", "input"))
-        default_outputs = self.states if self.outputs is None and p == n and (np.eye(n) == cells[0].C).all() else None
+        states_out = self.outputs is None and p == n and all((np.eye(n) == c.C).all() for c in cells)
+        default_outputs = self.states if states_out else None
         object.__setattr__(self, "outputs", _names(self.outputs or default_outputs, p, "y", "output"))
 
     def simulate(self, time, inputs=None, x0=None, **options) -> PWATrajectory:

@@ -89,7 +89,7 @@ def _sliding_cell(i: Cell, j: Cell, r: int, q: int, x, u) -> tuple[Cell | None, 
     change = np.column_stack([(i.A - j.A) @ along, jump])
     off_direction = change - np.outer(d, d @ change)
     if np.abs(off_direction).max(initial=0.0) > 1e-9 * np.abs(change).max():
-        return None, "the velocity's jump changes its direction along the surface, so sliding is not affine there"
+        return None, "the velocity's jump turns along the surface, so sliding is not affine there"
     P = np.eye(s.size) - np.outer(d, s) / (s @ d)
     keep_i, keep_j = np.arange(len(i.g)) != r, np.arange(len(j.g)) != q
     cell = Cell(

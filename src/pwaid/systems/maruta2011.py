@@ -40,21 +40,25 @@ class MotorRecording:
 
 @dataclass(frozen=True)
 class DCMotor:
-    """A current-driven DC motor with a harmonic drive and an inertial load, seen at the motor shaft: ω̇ = f(i, ω).
+    """A current-driven DC motor with a harmonic drive and an inertial load, seen at the motor shaft: ω̇ =
+    f(i, ω).
 
-        inertia · ω̇ = torque_constant · (i + disturbance) − viscous · ω − F(ω) − position-independent losses
+        inertia · ω̇ = torque_constant · (i + disturbance) − viscous · ω − F(ω)
 
-    with dry friction F of Coulomb and Stribeck type that stands still while the torque is at most static, and viscous
-    losses that are larger in one direction (harmonic drives are; here by `asymmetry`, through a second slope).
+    with dry friction F of Coulomb and Stribeck type that stands still while the torque is at most static,
+    and viscous losses that are larger in one direction (harmonic drives are; here by `asymmetry`, through a
+    second slope).
 
-    Magnitudes: chosen, not measured. The paper gives the range reached in normal operation, ±1.5 A and ±35 rad/s, the
-    hold of 0.1 s and the sampling of 0.01 s. A small DC motor has a torque constant near 0.04 N m/A; Taghirad and
-    Bélanger (1998) find friction of harmonic drives at some tens of per cent of the rated torque, growing with speed
-    and with a Stribeck drop. So breakaway is put at 0.45 A, Coulomb friction at 0.30 A, and the viscous slope so that
-    1.5 A ends near 35 rad/s; the inertia gives a time constant near 0.15 s, so that 0.1 s steps cover the plane.
+    Magnitudes: chosen by reasoning, not measured and not from a data sheet. The paper gives the range
+    reached in normal operation, ±1.5 A and ±35 rad/s, the hold of 0.1 s and the sampling of 0.01 s, and
+    calls the system strongly nonlinear. A small DC motor has a torque constant near 0.04 N m/A; breakaway
+    is put at 0.45 A, Coulomb friction at 0.30 A, and the viscous slope so that 1.5 A would end at 40 rad/s
+    one way and 32 rad/s the other; the inertia gives a time constant near 0.15 s, so that 0.1 s steps cover
+    the plane.
 
-    Noise: the current is disturbed (new every sample), and the measured speed has white noise that stands for the
-    rounding and differencing of the encoder; ω̇ inherits √2 of it divided by dt (4.2 rad/s² with the defaults).
+    Noise: the current is disturbed (new every sample), and the measured speed has white noise that stands
+    for the rounding and differencing of the encoder; ω̇ inherits √2 of it divided by dt (4.2 rad/s² with
+    the defaults).
 
     Attributes
     ----------
@@ -89,14 +93,17 @@ class DCMotor:
         if min(self.inertia, self.torque_constant, self.dt) <= 0:
             raise InputError(f"{self}: expected inertia, torque_constant and dt above zero")
         if min(self.viscous, self.viscous + self.asymmetry, self.disturbance, self.speed_noise) < 0:
-            raise InputError(f"{self}: expected viscous (in both directions), disturbance, speed_noise not below zero")
+            raise InputError(f"{self}: expected viscous (in both directions), disturbance, speed_noise not "
+                             "below zero")
 
     def replace(self, **changes) -> DCMotor:
         """A changed copy."""
         return replace(self, **changes)
 
     def acceleration(self, i, omega) -> np.ndarray:
-        """The noise-free map f(i, ω), rad/s²; zero at rest while the torque is at most the static friction."""
+        """The noise-free map f(i, ω), rad/s²; zero at rest while the torque is at most the static
+        friction.
+        """
         i, omega = np.broadcast_arrays(np.asarray(i, dtype=float), np.asarray(omega, dtype=float))
         slope = self.viscous + self.asymmetry * (omega < 0)
         torque = self.torque_constant * i - slope * omega - self.friction.torque(omega)
@@ -104,7 +111,9 @@ class DCMotor:
         return np.where(omega == 0, broken, torque) / self.inertia
 
     def drive(self, step_scale: float = 1.0) -> Drive:
-        """The motor with the state ω; the two directions are the two 'contacts' of `pwaid.dynamics.dry_friction`."""
+        """The motor with the state ω; the two directions are the two 'contacts' of
+        `pwaid.dynamics.dry_friction`.
+        """
         A = [[[-self.viscous / self.inertia]], [[-(self.viscous + self.asymmetry) / self.inertia]]]
         guards = [[((1.0,), 0.0, 1)], [((-1.0,), 0.0, 0)]]
         return drive_tables(A, [[0.0], [0.0]], [[self.torque_constant / self.inertia]], guards, (0,),
@@ -116,18 +125,18 @@ class DCMotor:
         if current.ndim != 1 or current.size < 1 or not np.isfinite(current).all():
             raise InputError(f"current has shape {current.shape}; expected finite values (N,), in ampere")
         rng = np.random.default_rng(rng)
-        pushed = current + self.disturbance * rng.standard_normal(current.size) if self.disturbance else current
+        pushed = current + self.disturbance * rng.standard_normal(current.size)
         omega, lowest = _speeds(self.drive(step_scale), pushed, self.dt)
         check_events(lowest)
-        measured = omega + self.speed_noise * rng.standard_normal(omega.size) if self.speed_noise else omega
+        measured = omega + self.speed_noise * rng.standard_normal(omega.size)
         time = self.dt * np.arange(current.size)
         return MotorRecording(time, current, measured[:-1], np.diff(measured) / self.dt, omega[:-1])
 
     def periodic_test(self, cycles: int = 100, rng=None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The validation of Fig. 9: one period of 20 s of current, repeated, with new noise in every cycle.
 
-        The paper's input is not published; this one has a slow sine, a staircase with reversals, and a small fast sine
-        around standstill. One cycle before the first is not returned.
+        The paper's input is not published; this one has a slow sine, a staircase with reversals, and a
+        small fast sine around standstill. One cycle before the first is not returned.
 
         Returns
         -------
@@ -157,9 +166,11 @@ def _speeds(drive, current, dt):
     return omega, lowest
 
 
-def maruta2011_dc_motor(n: int = 511_996, rng=None, motor: DCMotor | None = None, hold: int = 10, limit: float = 1.5,
+def maruta2011_dc_motor(n: int = 511_996, rng=None, motor: DCMotor | None = None, hold: int = 10,
+                        limit: float = 1.5,
                         step_scale: float = 1.0) -> MotorRecording:  # fmt: skip
-    """The experiment of section V on the stand-in `DCMotor`: current changed at random every 0.1 s, sampled at 0.01 s.
+    """The experiment of section V on the stand-in `DCMotor`: current changed at random every 0.1 s, sampled
+    at 0.01 s.
 
     Parameters
     ----------
@@ -173,7 +184,8 @@ def maruta2011_dc_motor(n: int = 511_996, rng=None, motor: DCMotor | None = None
         The current is uniform in ±limit, A (the paper says only "changed randomly").
     """
     if n < 1 or hold < 1 or limit <= 0:
-        raise InputError(f"n = {n}, hold = {hold}, limit = {limit}; expected n, hold >= 1 and a positive limit")
+        raise InputError(f"n = {n}, hold = {hold}, limit = {limit}; expected n, hold >= 1 and a positive "
+                         "limit")
     rng = np.random.default_rng(rng)
     current = np.repeat(rng.uniform(-limit, limit, -(-n // hold)), hold)[:n]
     return (DCMotor() if motor is None else motor).respond(current, rng, step_scale)

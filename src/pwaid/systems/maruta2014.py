@@ -1,4 +1,6 @@
-"""Systems of Maruta and Ohlsson (2014), section 7: the pyramid of Example 1, and a stand-in for Example 2's actuator."""
+"""Systems of Maruta and Ohlsson (2014), section 7: the pyramid of Example 1, and a stand-in for Example 2's
+actuator.
+"""
 
 from __future__ import annotations
 
@@ -18,7 +20,8 @@ def pyramid(X) -> np.ndarray:
     return np.maximum(1.0 - np.abs(np.asarray(X, dtype=float)).sum(axis=-1), 0.0)
 
 
-def maruta2014_pyramid(n: int, rng=None, noise: float = 0.1, bound: float = 1.1) -> tuple[np.ndarray, np.ndarray]:
+def maruta2014_pyramid(n: int, rng=None, noise: float = 0.1,
+                       bound: float = 1.1) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Samples of the pyramid of Example 1 (2014, equation 20): y = max(1 − ‖x‖₁, 0) + η, dimensionless.
 
     Parameters
@@ -46,19 +49,21 @@ def maruta2014_pyramid(n: int, rng=None, noise: float = 0.1, bound: float = 1.1)
 class RotaryActuator:
     """A stand-in for the rotary actuator of Example 2 (FHA-17C-100-E250): its recordings are not public.
 
-    A servo amplifier turns the command u (V) into motor torque through a first-order lag, and the torque moves the
-    inertia against viscous and dry friction with a strong Stribeck effect that does not depend on position:
+    A servo amplifier turns the command u (V) into motor torque through a first-order lag, and the torque
+    moves the inertia against viscous and dry friction with a strong Stribeck effect that does not depend on
+    position:
 
         lag · ṁ = u + disturbance − m,    inertia · ω̇ = m − viscous · ω − F(ω),    θ̇ = ω,
 
-    with torque m counted in volts of command, and a true standstill while |m| ≤ static. The output is the backward
-    difference of the encoder's angle, ω_k = (θ_k − θ_{k−1}) / dt, and u_k is the command held from t_{k−1} to t_k, so
-    that ω_k = Π(ω_{k−1}, ω_{k−2}, u_k) as in (21).
+    with torque m counted in volts of command, and a true standstill while |m| ≤ static. The output is the
+    backward difference of the encoder's angle, ω_k = (θ_k − θ_{k−1}) / dt, and u_k is the command held from
+    t_{k−1} to t_k, so that ω_k = Π(ω_{k−1}, ω_{k−2}, u_k) as in (21).
 
-    Magnitudes: chosen, not measured. The output RMS is the paper's 8.4 rad/s for commands of N(0, 1 V) held for
-    0.1 s; Coulomb friction is 40 % and breakaway 80 % of the command's standard deviation, as for harmonic drives near their rated
-    torque (Taghirad and Bélanger 1998 report strong Coulomb and Stribeck friction); the lag is that of a
-    current loop with a filter, a few milliseconds.
+    Magnitudes: chosen by reasoning, not measured and not from a data sheet. The output RMS is the paper's
+    8.4 rad/s for commands of N(0, 1 V) held for 0.1 s; the paper says that harmonic drives have strong
+    nonlinear friction (it cites Taghirad and Bélanger 1998), so Coulomb friction is 40 % and breakaway 80 %
+    of the command's standard deviation, and the drive stands still a third of the time; the lag is that of
+    a current loop with a filter.
 
     Attributes
     ----------
@@ -108,7 +113,7 @@ class RotaryActuator:
         if u.ndim != 1 or not np.isfinite(u).all():
             raise InputError(f"u has shape {u.shape}; expected finite commands of shape (N,), in volts")
         rng = np.random.default_rng(rng)
-        pushed = u + self.disturbance * rng.standard_normal(u.size) if self.disturbance else u
+        pushed = u + self.disturbance * rng.standard_normal(u.size)
         theta, lowest = _angles(self.drive(step_scale), pushed, self.dt)
         check_events(lowest)
         if self.counts is not None:
@@ -119,8 +124,9 @@ class RotaryActuator:
     def cyclic_test(self, cycles: int = 200, rng=None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """The test of Fig. 10: one cyclic command, repeated; the disturbance is new in every cycle.
 
-        The command of the paper is not published; this one rises and falls in steps of 0.2 s and ends in a slow sine
-        of small amplitude that keeps crossing the standstill. One cycle before the first is not returned.
+        The command of the paper is not published; this one rises and falls in steps of 0.2 s and ends in a
+        slow sine of small amplitude that keeps crossing the standstill. One cycle before the first is not
+        returned.
 
         Returns
         -------
@@ -150,7 +156,8 @@ def _angles(drive, u, dt):
     return theta, lowest
 
 
-def maruta2014_rotary_actuator(n: int = 512_000, rng=None, system: RotaryActuator | None = None, hold: int = 10,
+def maruta2014_rotary_actuator(n: int = 512_000, rng=None, system: RotaryActuator | None = None,
+                               hold: int = 10,
                                step_scale: float = 1.0) -> tuple[np.ndarray, np.ndarray]:  # fmt: skip
     """Recordings of Example 2's experiment on the stand-in `RotaryActuator`.
 

@@ -1,9 +1,11 @@
-"""A two-inertia drive with backlash and its controllers (Yamada, Ruderman and Fujimoto, Table II, equations 1-23).
+"""A two-inertia drive with backlash and its controllers (Yamada, Ruderman and Fujimoto, Table II, equations
+1-23).
 
-Assumptions of the paper: a dead zone with a linear spring and damper in contact (5), inertias and viscous damping on
-both sides, the load-side angle fed back. All in SI units. Misprints that were corrected: a_0 has four entries, (17)
-reads g_2 = g_1, and β is the *half* width of the gap. As printed, (5) is discontinuous at the border of contact when
-ω_B ≠ 0 (the torque jumps by D_B ω_B), and the contact pulls a little before it opens; both are kept.
+Assumptions of the paper: a dead zone with a linear spring and damper in contact (5), inertias and viscous
+damping on both sides, the load-side angle fed back. All in SI units. Misprints that were corrected: a_0 has
+four entries, (17) reads g_2 = g_1, and β is the *half* width of the gap. As printed, (5) is discontinuous
+at the border of contact when ω_B ≠ 0 (the torque jumps by D_B ω_B), and the contact pulls a little before
+it opens; both are kept.
 """
 
 from __future__ import annotations
@@ -17,7 +19,8 @@ from pwaid.dynamics.pwa_feedback import close_loop
 from pwaid.dynamics.pwa_system import PWASystem
 from pwaid.errors import InputError
 
-__all__ = ["PDGains", "TwoInertia", "closed_loop", "damping", "pd_gains", "position_loop", "yamada2018_two_inertia"]
+__all__ = ["PDGains", "TwoInertia", "closed_loop", "damping", "pd_gains", "position_loop",
+           "yamada2018_two_inertia"]
 
 DAMPINGS = ("none", "linear", "switched")
 K_B = -0.80  # N m s/rad, III-B
@@ -73,12 +76,13 @@ class PDGains:
 def yamada2018_two_inertia(parameters: TwoInertia | None = None) -> PWASystem:
     """The plant as a PWA system with three cells: gap, positive contact, negative contact (equations 9-19).
 
-    States ω_L, ω_B, θ_L, θ_B; inputs T_M (motor torque, N m) and d_L (load-side disturbance, N m); outputs theta_M,
-    theta_L, omega_M, omega_L, theta_B, omega_B (rad, rad/s) and T_s (joint torque, N m).
+    States ω_L, ω_B, θ_L, θ_B; inputs T_M (motor torque, N m) and d_L (load-side disturbance, N m); outputs
+    theta_M, theta_L, omega_M, omega_L, theta_B, omega_B (rad, rad/s) and T_s (joint torque, N m).
     """
     p = TwoInertia() if parameters is None else parameters
     B = [[0, 1 / p.J_L], [1 / p.J_M, -1 / p.J_L], [0, 0], [0, 0]]
-    motion = np.array([[0, 0, 1, 1], [0, 0, 1, 0], [1, 1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 1], [0, 1, 0, 0]], dtype=float)
+    motion = np.array([[0, 0, 1, 1], [0, 0, 1, 0], [1, 1, 0, 0], [1, 0, 0, 0], [0, 0, 0, 1], [0, 1, 0, 0]],
+                      dtype=float)
     free = np.array([[-p.D_L / p.J_L, 0, 0, 0], [-p.D_M / p.J_M + p.D_L / p.J_L, -p.D_M / p.J_M, 0, 0],
                      [1, 0, 0, 0], [0, 1, 0, 0]])  # fmt: skip
     torque = np.array([0, p.D_B, 0, p.K])
@@ -87,20 +91,24 @@ def yamada2018_two_inertia(parameters: TwoInertia | None = None) -> PWASystem:
     def contact(side: float, name: str) -> Cell:
         return Cell(
             A=free + np.outer(push, torque), a=-side * p.K * p.beta * push, B=B,
-            G=[[0, 0, 0, side]], g=[-p.beta], C=np.vstack([motion, torque]), c=[*np.zeros(6), -side * p.K * p.beta],
+            G=[[0, 0, 0, side]], g=[-p.beta], C=np.vstack([motion, torque]),
+            c=[*np.zeros(6), -side * p.K * p.beta],
             F=np.zeros((1, 4)), f=[side * p.beta], name=name,
         )  # fmt: skip
 
-    gap = Cell(A=free, B=B, G=[[0, 0, 0, -1], [0, 0, 0, 1]], g=[p.beta, p.beta], C=np.vstack([motion, np.zeros(4)]),
+    gap = Cell(A=free, B=B, G=[[0, 0, 0, -1], [0, 0, 0, 1]], g=[p.beta, p.beta],
+               C=np.vstack([motion, np.zeros(4)]),
                F=[[0, 0, 0, 1]], f=[0.0], name="gap")  # fmt: skip
     return PWASystem(
         (gap, contact(1.0, "positive contact"), contact(-1.0, "negative contact")),
         states=("omega_L", "omega_B", "theta_L", "theta_B"), inputs=("T_M", "d_L"),
-        outputs=("theta_M", "theta_L", "omega_M", "omega_L", "theta_B", "omega_B", "T_s"), name="two-inertia drive",
+        outputs=("theta_M", "theta_L", "omega_M", "omega_L", "theta_B", "omega_B",
+                 "T_s"), name="two-inertia drive",
     )  # fmt: skip
 
 
-def pd_gains(parameters: TwoInertia | None = None, *, omega_1=2 * np.pi * 18, omega_2=2 * np.pi * 15, zeta=0.70,
+def pd_gains(parameters: TwoInertia | None = None, *, omega_1=2 * np.pi * 18, omega_2=2 * np.pi * 15,
+             zeta=0.70,
              viscous: float | None = None) -> PDGains:  # fmt: skip
     """PD gains that place the poles (s + ω_1)(s² + 2 ζ ω_2 s + ω_2²) on the rigid drive J s² + D s (III-B).
 
@@ -115,7 +123,8 @@ def pd_gains(parameters: TwoInertia | None = None, *, omega_1=2 * np.pi * 18, om
     J, D = p.J_M + p.J_L, p.D_M + p.D_L if viscous is None else viscous
     rate = omega_1 + 2 * zeta * omega_2 - D / J
     if rate <= 0:
-        raise InputError(f"these poles need 1/tau_D = {rate:.4g} 1/s, which is not positive; place the poles faster")
+        raise InputError(f"these poles need 1/tau_D = {rate:.4g} 1/s, which is not positive; place the "
+                         "poles faster")
     tau_D = 1.0 / rate
     K_P = J * tau_D * omega_1 * omega_2**2
     K_D = J * tau_D * (omega_2**2 + 2 * zeta * omega_2 * omega_1) - D - K_P * tau_D
@@ -147,7 +156,8 @@ def damping(kind: str = "switched", gain: float = K_B) -> PWASystem:
 
     if kind == "switched":
         quadrants = [(1, 1), (-1, -1), (1, -1), (-1, 1)]
-        cells = [cell(gain if a * b > 0 else 0.0, [[a, 0], [0, b]], f"w_L {a:+d} w_B {b:+d}") for a, b in quadrants]
+        cells = [cell(gain if a * b > 0 else 0.0, [[a, 0], [0, b]], f"w_L {a:+d} w_B {b:+d}") for a,
+                 b in quadrants]
     else:
         cells = [cell(gain if kind == "linear" else 0.0, np.zeros((0, 2)), kind)]
     return PWASystem(tuple(cells), (), ("omega_L", "omega_B"), ("T_B",), f"{kind} damping")
@@ -156,8 +166,8 @@ def damping(kind: str = "switched", gain: float = K_B) -> PWASystem:
 def position_loop(gains: PDGains, inner: PWASystem, reference_cutoff_hz: float | None = 20.0) -> PWASystem:
     """PD control of θ_L and the damping `inner` as one controller with output T_M (equation 20).
 
-    Inputs reference (rad), theta_L, omega_L, omega_B; outputs T_M, T_PD, T_B. States: the PD's filter, and the
-    first-order low-pass filter of the reference (20 Hz in III-B; None leaves it out).
+    Inputs reference (rad), theta_L, omega_L, omega_B; outputs T_M, T_PD, T_B. States: the PD's filter, and
+    the first-order low-pass filter of the reference (20 Hz in III-B; None leaves it out).
     """
     filtered = reference_cutoff_hz is not None
     k, lead, tau = int(filtered), gains.K_P + gains.K_D / gains.tau_D, gains.tau_D
@@ -176,10 +186,13 @@ def position_loop(gains: PDGains, inner: PWASystem, reference_cutoff_hz: float |
     for part in inner.cells:
         T_B = np.concatenate([[0.0, 0.0], part.D[0]])
         H = np.hstack([np.zeros((len(part.g), 2)), part.H])
-        cells.append(Cell(A=A, B=B, G=np.zeros((len(part.g), 1 + k)), g=part.g, H=H,
-                          C=[pd_x, pd_x, np.zeros(1 + k)], D=[pd_u + T_B, pd_u, T_B], name=part.name))  # fmt: skip
+        cells.append(Cell(
+            A=A, B=B, G=np.zeros((len(part.g), 1 + k)), g=part.g, H=H,
+            C=[pd_x, pd_x, np.zeros(1 + k)], D=[pd_u + T_B, pd_u, T_B], name=part.name,
+        ))  # fmt: skip
     states = ("z_D", "reference_filtered")[: 1 + k]
-    return PWASystem(tuple(cells), states, ("reference", "theta_L", "omega_L", "omega_B"), ("T_M", "T_PD", "T_B"),
+    return PWASystem(tuple(cells), states, ("reference", "theta_L", "omega_L", "omega_B"),
+                     ("T_M", "T_PD", "T_B"),
                      f"PD with {inner.name}")  # fmt: skip
 
 

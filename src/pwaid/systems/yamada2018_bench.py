@@ -1,95 +1,30 @@
 """The experiment of Yamada, Ruderman and Fujimoto, section IV, as a simulated bench with sampled controllers.
 
-The plant of Table II moves exactly between the samples (matrix series, located contacts and standstills). Both angles
-are read by 20-bit encoders, the joint torque by a sensor; the controllers are discretised by Tustin's rule at 2.5 kHz.
-The bench can differ from the nominal drive: other parameters, and dry friction on either side with a true standstill.
-The recordings of the real bench are not public, so this is a stand-in wherever it goes beyond the paper's equations:
-the friction levels, the torque sensor's noise, and how ω_M and ω_L are obtained (here: backward differences of the
-encoders) are assumptions. The paper names unmodelled friction and parameter errors as the difference it saw.
+The plant of Table II moves exactly between the samples (matrix series, located contacts and standstills).
+Both angles are read by 20-bit encoders, the joint torque by a sensor; the controllers are discretised by
+Tustin's rule at 2.5 kHz. The bench can differ from the nominal drive: other parameters, and dry friction on
+either side with a true standstill. The recordings of the real bench are not public, so this is a stand-in
+wherever it goes beyond the paper's equations: the friction levels, the torque sensor's noise, and how ω_M
+and ω_L are obtained (here: backward differences of the encoders) are assumptions. The paper names
+unmodelled friction and parameter errors as the difference it saw.
 """
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass, field, replace
 
-import control
 import numpy as np
 from numba import njit
 
 from pwaid.dynamics.dry_friction import Drive, DryFriction, advance, check_events, drive_tables
 from pwaid.errors import InputError
-from pwaid.systems.yamada2018 import DAMPINGS, K_B, PDGains, TwoInertia, pd_gains
+from pwaid.systems.yamada2018 import TwoInertia
+from pwaid.systems.yamada2018_loop import STATES, LoopController, control_step, read_encoder
 
-__all__ = ["Bench", "BenchRun", "LoopController", "half_gap", "nominal_simulator", "run_loop", "slow_sine",
-           "step_reference"]  # fmt: skip
+__all__ = ["Bench", "BenchRun", "LoopController", "half_gap", "identification_run", "joint_motion",
+           "slow_sine", "step_reference"]  # fmt: skip
 
-STATES = ("theta_M", "omega_M", "theta_L", "omega_L")
 UNITS = {"t": "s", "reference": "rad", "T_M": "N m", "theta_M": "rad", "theta_L": "rad", "T_s": "N m"}
-
-
-@dataclass(frozen=True)
-class LoopController:
-    """The sampled controller: filtered reference, PD on θ_L, and damping; Tustin at `rate`.
-
-    Attributes
-    ----------
-    kind : {"none", "linear", "switched"}
-    gains : PDGains
-    gain : float
-        K_B, N m s/rad.
-    rate : float
-        Samples per second.
-    reference_cutoff_hz : float
-        Low-pass filter of the reference.
-    """
-
-    kind: str = "switched"
-    gains: PDGains = field(default_factory=pd_gains)
-    gain: float = K_B
-    rate: float = 2500.0
-    reference_cutoff_hz: float = 20.0
-
-    def __post_init__(self):
-        if self.kind not in DAMPINGS:
-            raise InputError(f"damping kind {self.kind!r}; expected one of {DAMPINGS}")
-        if self.rate <= 0 or self.reference_cutoff_hz <= 0:
-            raise InputError(f"rate {self.rate} and cut-off {self.reference_cutoff_hz} must be positive, in Hz")
-
-    def start(self, theta_M: float = 0.0, theta_L: float = 0.0) -> np.ndarray:
-        """State of the controller at rest: filtered reference, its input, PD filter, error, last angles."""
-        return np.array([theta_L, theta_L, 0.0, 0.0, theta_M, theta_L])
-
-    def coefficients(self) -> np.ndarray:
-        """What `control_step` needs: Tustin coefficients of both filters, gains, kind, rate."""
-        h, w, tau = 1 / self.rate, 2 * np.pi * self.reference_cutoff_hz, self.gains.tau_D
-        return np.array([
-            (2 - w * h) / (2 + w * h), w * h / (2 + w * h), (2 * tau - h) / (2 * tau + h), h / (2 * tau + h),
-            self.gains.K_P, self.gains.K_D / tau, 0.0 if self.kind == "none" else self.gain,
-            float(self.kind == "switched"), self.rate,
-        ])  # fmt: skip
-
-    def step(self, state, reference: float, theta_M: float, theta_L: float) -> tuple[np.ndarray, float]:
-        """One sample: new state and the torque to hold until the next."""
-        state = np.array(state, dtype=float)
-        torque = control_step(state, self.coefficients(), reference, theta_M, theta_L)
-        return state, torque
-
-
-@njit(cache=True)
-def control_step(state, k, reference, theta_M, theta_L):
-    """Motor torque of one sample; `state` is changed in place."""
-    state[0] = k[0] * state[0] + k[1] * (reference + state[1])
-    state[1] = reference
-    error = state[0] - theta_L
-    state[2] = k[2] * state[2] + k[3] * (error + state[3])
-    state[3] = error
-    omega_M, omega_L = (theta_M - state[4]) * k[8], (theta_L - state[5]) * k[8]
-    state[4], state[5] = theta_M, theta_L
-    omega_B = omega_M - omega_L
-    gain = k[6]
-    if k[7] > 0 and omega_B * omega_L < 0:
-        gain = 0.0
-    return k[4] * error + k[5] * (error - state[2]) + gain * omega_B
 
 
 @dataclass(frozen=True)
@@ -133,14 +68,17 @@ class BenchRun:
     description: dict
 
     def columns(self) -> dict[str, np.ndarray]:
-        """What the bench would store: t, reference, T_M, theta_M, theta_L, T_s; units in ``description['units']``."""
+        """What the bench would store: t, reference, T_M, theta_M, theta_L, T_s; units in
+        ``description['units']``.
+        """
         return {"t": self.time, "reference": self.reference, "T_M": self.T_M, "theta_M": self.theta_M,
                 "theta_L": self.theta_L, "T_s": self.T_s}  # fmt: skip
 
 
 @dataclass(frozen=True)
 class Bench:
-    """The bench: plant, friction, sensors. Defaults: the nominal plant without dry friction, with 20-bit encoders.
+    """The bench: plant, friction, sensors. Defaults: the nominal plant without dry friction, with 20-bit
+    encoders.
 
     Attributes
     ----------
@@ -164,7 +102,8 @@ class Bench:
 
     def __post_init__(self):
         if self.encoder_bits is not None and not 1 <= self.encoder_bits <= 40:
-            raise InputError(f"encoder_bits = {self.encoder_bits}; expected 1 to 40, or None for no quantisation")
+            raise InputError(f"encoder_bits = {self.encoder_bits}; expected 1 to 40, or None for no "
+                             "quantisation")
         if self.torque_noise < 0 or self.rate <= 0:
             raise InputError(f"torque_noise = {self.torque_noise}, rate = {self.rate}; expected >= 0 and > 0")
 
@@ -187,10 +126,12 @@ class Bench:
         twist = np.array([1.0, 0, -1.0, 0])
         guards = [[(-twist, p.beta, 1), (twist, p.beta, 2)], [(twist, -p.beta, 0)], [(-twist, -p.beta, 0)]]
         bias = p.K * p.beta * push
-        return drive_tables([free, closed, closed], [np.zeros(4), -bias, bias], [[0], [1 / p.J_M], [0], [0]], guards,
-                            (1, 3), (p.J_M, p.J_L), (self.motor_friction, self.load_friction), step_scale)  # fmt: skip
+        frictions = (self.motor_friction, self.load_friction)
+        return drive_tables([free, closed, closed], [np.zeros(4), -bias, bias], [[0], [1 / p.J_M], [0], [0]],
+                            guards, (1, 3), (p.J_M, p.J_L), frictions, step_scale)  # fmt: skip
 
-    def closed_loop(self, reference, controller: LoopController | None = None, *, x0=None, oversample: int = 1,
+    def closed_loop(self, reference, controller: LoopController | None = None, *, x0=None,
+                    oversample: int = 1,
                     rng=None, step_scale: float = 1.0) -> BenchRun:  # fmt: skip
         """Record the loop.
 
@@ -211,11 +152,13 @@ class Bench:
         """
         controller = LoopController(rate=self.rate) if controller is None else controller
         if controller.rate != self.rate:
-            raise InputError(f"controller at {controller.rate} Hz on a bench at {self.rate} Hz; give both the same rate")
+            raise InputError(f"controller at {controller.rate} Hz on a bench at {self.rate} Hz; give both "
+                             "the same rate")
         told = {"loop": "closed", "controller": asdict(controller)}
         return self._record(reference, controller, x0, oversample, rng, step_scale, told)
 
-    def open_loop(self, torque, *, x0=None, oversample: int = 1, rng=None, step_scale: float = 1.0) -> BenchRun:
+    def open_loop(self, torque, *, x0=None, oversample: int = 1, rng=None,
+                  step_scale: float = 1.0) -> BenchRun:
         """Record the plant under the motor torque (N,), N m, one value per control sample."""
         return self._record(torque, None, x0, oversample, rng, step_scale, {"loop": "open"})
 
@@ -223,13 +166,15 @@ class Bench:
         signal = np.ascontiguousarray(signal, dtype=float)
         x = np.zeros(4) if x0 is None else np.array(x0, dtype=float)
         if signal.ndim != 1 or signal.size < 2 or not np.isfinite(signal).all():
-            raise InputError(f"the signal has shape {signal.shape}; expected at least 2 finite values, one per control sample")
+            raise InputError(f"the signal has shape {signal.shape}; expected at least 2 finite values, one "
+                             "per control sample")
         if x.shape != (4,) or not np.isfinite(x).all() or oversample < 1:
-            raise InputError(f"x0 = {x}, oversample = {oversample}; expected 4 finite states {STATES} and at least 1")
+            raise InputError(f"x0 = {x}, oversample = {oversample}; expected 4 finite states {STATES} and "
+                             "at least 1")
         coefficients = np.zeros(9) if controller is None else controller.coefficients()
         state = np.zeros(6) if controller is None else controller.start(x[0], x[2])
-        states, T_M, mode, lowest = _loop(self.drive(step_scale), signal, controller is None, coefficients, state, x,
-                                  self.quantum, 1 / self.rate, oversample)  # fmt: skip
+        states, T_M, mode, lowest = _loop(self.drive(step_scale), signal, controller is None, coefficients,
+                                          state, x, self.quantum, 1 / self.rate, oversample)  # fmt: skip
         check_events(lowest)
         if not np.isfinite(states).all() or np.abs(states).max() > 1e9:
             raise InputError("the loop diverged; check the signs and sizes of the controller's gains")
@@ -243,9 +188,12 @@ class Bench:
         at_rest[:, used] = mode[:, 1 : 1 + len(used)] == 0
         reference = np.zeros_like(signal) if controller is None else signal
         return BenchRun(
-            time=np.arange(len(joint)) / (self.rate * oversample), reference=np.repeat(reference, oversample), T_M=T_M,
-            theta_M=_read(states[:, 0], self.quantum), theta_L=_read(states[:, 2], self.quantum), T_s=joint + noise,
-            states=states, joint_torque=joint, contact=contact, at_rest=at_rest, description=self.describe(told),
+            time=np.arange(len(joint)) / (self.rate * oversample),
+            reference=np.repeat(reference, oversample), T_M=T_M,
+            theta_M=read_encoder(states[:, 0], self.quantum),
+            theta_L=read_encoder(states[:, 2], self.quantum), T_s=joint + noise,
+            states=states, joint_torque=joint, contact=contact, at_rest=at_rest,
+            description=self.describe(told),
         )  # fmt: skip
 
     def describe(self, told: dict | None = None) -> dict:
@@ -255,9 +203,10 @@ class Bench:
             "equations": [
                 "J_M domega_M/dt = T_M - T_s - D_M omega_M - friction_M(omega_M)",
                 "J_L domega_L/dt = T_s - D_L omega_L - friction_L(omega_L)",
-                "T_s = 0 for |theta_M - theta_L| < beta, else D_B (omega_M - omega_L) + K (theta_M - theta_L -+ beta)",
-                "friction(omega) = sign(omega) (coulomb + (static - coulomb) exp(-|omega/velocity|^exponent)); "
-                "standstill while the torque is at most static",
+                "T_s = 0 for |theta_M - theta_L| < beta, "
+                "else D_B (omega_M - omega_L) + K (theta_M - theta_L -+ beta)",
+                "friction(omega) = sign(omega) (coulomb + (static - coulomb) "
+                "exp(-|omega/velocity|^exponent)); standstill while the torque is at most static",
             ],
             "parameters": asdict(self.plant),
             "motor_friction": asdict(self.motor_friction),
@@ -268,10 +217,6 @@ class Bench:
             "units": UNITS,
             **(told or {}),
         }
-
-
-def _read(angle, quantum: float):
-    return angle.copy() if quantum == 0 else np.floor(angle / quantum) * quantum
 
 
 @njit(cache=True)
@@ -296,7 +241,8 @@ def _loop(drive, signal, is_open, coefficients, state, x, quantum, period, overs
     return states, T_M, modes, lowest
 
 
-def step_reference(duration: float, rate: float = 2500.0, size: float = 0.30, at: float = 0.010) -> np.ndarray:
+def step_reference(duration: float, rate: float = 2500.0, size: float = 0.30,
+                   at: float = 0.010) -> np.ndarray:
     """The reference of Figs. 3 and 9: a step of 0.30 rad at 0.010 s, one value per control sample."""
     t = np.arange(round(duration * rate)) / rate
     return np.where(t >= at - 1e-12, size, 0.0)
@@ -306,18 +252,58 @@ def slow_sine(bench: Bench | None = None, amplitude: float = 0.04, frequency: fl
               **options) -> BenchRun:  # fmt: skip
     """The measurement of Fig. 2: the motor driven by a small, slow sinusoidal torque, both encoders read.
 
-    Amplitude (N m) and frequency (Hz) are not published; the defaults keep the joint's own twist below 0.5 % of the gap.
+    Amplitude (N m) and frequency (Hz) are not published; the defaults keep the joint's own twist below 0.5
+    % of the gap.
     """
     bench = Bench() if bench is None else bench
     t = np.arange(round(periods / frequency * bench.rate)) / bench.rate
     return bench.open_loop(amplitude * np.sin(2 * np.pi * frequency * t), **options)
 
 
+def identification_run(bench: Bench | None = None, duration: float = 4.0, torque: float = 0.8,
+                       hold: float = 0.02, rng=None, oversample: int = 8, **options) -> BenchRun:  # fmt: skip
+    """A recording from which the joint torque can be learned as a map of (θ_B, ω_B): open loop, random
+    motor torque.
+
+    Parameters
+    ----------
+    bench : Bench, optional
+        With 20-bit encoders when not given; ``Bench(encoder_bits=None)`` records the true angles.
+    duration : float
+        s.
+    torque, hold : float
+        The motor torque is uniform in ±torque (N m) and new every `hold` seconds, so that the gap is
+        crossed both ways at many speeds.
+    rng : numpy.random.Generator or int, optional
+    oversample : int
+        Recorded samples per control sample; 8 gives 20 kHz, 150 samples per period of the contact's
+        vibration, so that differences of the encoders are true speeds (see `joint_motion`).
+    **options
+        Passed to `Bench.open_loop`.
+    """
+    bench = Bench() if bench is None else bench
+    if duration <= 0 or torque <= 0 or hold * bench.rate < 1:
+        raise InputError(f"duration = {duration}, torque = {torque}, hold = {hold}; expected positive values")
+    rng = np.random.default_rng(rng)
+    each = round(hold * bench.rate)
+    count = round(duration * bench.rate)
+    signal = np.repeat(rng.uniform(-torque, torque, -(-count // each)), each)[:count]
+    return bench.open_loop(signal, rng=rng, oversample=oversample, **options)
+
+
+def joint_motion(run: BenchRun) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """θ_B (rad), ω_B (rad/s, central difference of the encoders) and T_s (N m); the first and last sample
+    are lost.
+    """
+    twist = run.theta_M - run.theta_L
+    return twist[1:-1], (twist[2:] - twist[:-2]) / (run.time[2:] - run.time[:-2]), run.T_s[1:-1]
+
+
 def half_gap(theta_M, theta_L, T_s=None, K: float = TwoInertia.K) -> float:
     """Half the backlash, read from both encoders: half the distance of the two plateaus of θ_M − θ_L, rad.
 
-    A plateau is the median of the upper (lower) part, beyond 90 % of the way from the middle to the extreme. Where the
-    joint torque T_s was recorded too, the joint's own twist T_s / K is taken off first.
+    A plateau is the median of the upper (lower) part, beyond 90 % of the way from the middle to the
+    extreme. Where the joint torque T_s was recorded too, the joint's own twist T_s / K is taken off first.
 
     Raises
     ------
@@ -328,99 +314,11 @@ def half_gap(theta_M, theta_L, T_s=None, K: float = TwoInertia.K) -> float:
     if T_s is not None:
         twist = twist - np.asarray(T_s, dtype=float) / K
     if twist.ndim != 1 or twist.size < 10 or not np.isfinite(twist).all():
-        raise InputError(f"angles of shape {twist.shape}; expected two finite recordings of at least 10 samples")
+        raise InputError(f"angles of shape {twist.shape}; expected two finite recordings of at least 10 "
+                         "samples")
     middle, reach = (twist.max() + twist.min()) / 2, (twist.max() - twist.min()) / 2
     upper, lower = twist[twist > middle + 0.9 * reach], twist[twist < middle - 0.9 * reach]
     if reach == 0 or min(upper.size, lower.size) < 3:
-        raise InputError("the twist does not rest on two plateaus; drive the motor slowly through the gap both ways")
+        raise InputError("the twist does not rest on two plateaus; drive the motor slowly through the gap "
+                         "both ways")
     return float((np.median(upper) - np.median(lower)) / 2)
-
-
-def nominal_simulator(parameters: TwoInertia | None = None, name: str = "drive_without_friction"):
-    """The drive without dry friction as a user would write it: T_M → theta_M, theta_L, T_s.
-
-    Returns
-    -------
-    control.NonlinearIOSystem
-        States theta_M, omega_M, theta_L, omega_L; ``params`` holds J_M, D_M, K, D_B, J_L, D_L, beta.
-    """
-    defaults = asdict(TwoInertia() if parameters is None else parameters)
-
-    def joint(x, p):
-        twist = x[0] - x[2]
-        if abs(twist) < p["beta"]:
-            return 0.0
-        return p["D_B"] * (x[1] - x[3]) + p["K"] * (twist - np.copysign(p["beta"], twist))
-
-    def update(t, x, u, params):
-        p = {**defaults, **params}
-        T_s = joint(x, p)
-        return np.array([x[1], (np.ravel(u)[0] - T_s - p["D_M"] * x[1]) / p["J_M"],
-                         x[3], (T_s - p["D_L"] * x[3]) / p["J_L"]])  # fmt: skip
-
-    def output(t, x, u, params):
-        return np.array([x[0], x[2], joint(x, {**defaults, **params})])
-
-    return control.nlsys(update, output, states=list(STATES), inputs=["T_M"], outputs=["theta_M", "theta_L", "T_s"],
-                         params=defaults, name=name)  # fmt: skip
-
-
-def run_loop(plant, controller: LoopController, reference, x0=None, *, substeps: int = 20, quantum: float = 0.0,
-             params: dict | None = None):  # fmt: skip
-    """Close the bench's loop around any plant; fixed-step Runge–Kutta of order 4 between control samples.
-
-    Parameters
-    ----------
-    plant : control.NonlinearIOSystem or (rhs, output)
-        Input T_M; the first two outputs are theta_M and theta_L. Functions are ``rhs(t, x, u)`` and
-        ``output(t, x, u)`` with u of shape (1,); continuous-time.
-    controller : LoopController
-    reference : array_like (N,)
-        rad, one value per control sample.
-    x0 : array_like (n,), optional
-    substeps : int
-        Steps per control sample.
-    quantum : float
-        Encoder resolution of the controller's readings, rad; 0 for none.
-    params : dict, optional
-        For a python-control plant.
-
-    Returns
-    -------
-    time, T_M, outputs : ndarray (N,), (N,), (N, p)
-    """
-    if isinstance(plant, control.NonlinearIOSystem):
-        rhs = lambda t, x, u: plant.dynamics(t, x, u, params)  # noqa: E731
-        output = lambda t, x, u: plant.output(t, x, u, params)  # noqa: E731
-        n = plant.nstates
-    else:
-        rhs, output = plant
-        n = None
-    if x0 is None and n is None:
-        raise InputError("a plant given as functions needs x0, one value per state")
-    x = np.zeros(n) if x0 is None else np.array(x0, dtype=float)
-    reference = np.asarray(reference, dtype=float)
-    if reference.ndim != 1 or not np.isfinite(reference).all():
-        raise InputError(f"reference has shape {reference.shape}; expected finite values (N,), one per control sample")
-    h, u = 1.0 / (controller.rate * substeps), np.zeros(1)
-    first = np.ravel(output(0.0, x, u))
-    state, torques, outputs = controller.start(first[0], first[1]), [], []
-    for k, r in enumerate(reference):
-        t, y = k / controller.rate, np.ravel(output(k / controller.rate, x, u))
-        state, torque = controller.step(state, r, *_read(y[:2], quantum))
-        u = np.array([torque])
-        torques.append(torque)
-        outputs.append(np.ravel(output(t, x, u)))
-        for j in range(substeps):
-            x = _runge_kutta(rhs, t + j * h, x, u, h)
-        if not np.isfinite(x).all() or np.abs(x).max() > 1e9:
-            raise InputError(f"the loop diverged at t = {t:.4g} s; check the plant's signs, or raise substeps")
-    return np.arange(reference.size) / controller.rate, np.array(torques), np.array(outputs)
-
-
-def _runge_kutta(rhs, t, x, u, h):
-    k1 = np.ravel(rhs(t, x, u))
-    k2 = np.ravel(rhs(t + h / 2, x + h / 2 * k1, u))
-    k3 = np.ravel(rhs(t + h / 2, x + h / 2 * k2, u))
-    k4 = np.ravel(rhs(t + h, x + h * k3, u))
-    return x + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)

@@ -1,0 +1,158 @@
+"""The case folder: case.toml, the nominal simulator, and CSV recordings."""
+
+from __future__ import annotations
+
+import importlib.util
+import itertools
+import linecache
+import sys
+import tomllib
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from pwaid.errors import InputError
+from pwaid.mismatch.plant import Plant, as_plant
+from pwaid.mismatch.units import check_unit
+from pwaid.recording import Recording
+
+__all__ = ["Case", "load_case", "write_case"]
+
+_KEYS = {"simulator", "time", "train", "test", "free_parameters", "inputs", "outputs", "noise_floor", "repeats", "hold",
+         "controller", "tolerances", "closed_loop", "name", "title", "description"}
+_serial = itertools.count()
+
+
+@dataclass(frozen=True)
+class Case:
+    """A checked case: the plant, recordings to train and test on, and what the user says about them."""
+
+    plant: Plant
+    train: tuple[Recording, ...]
+    test: tuple[Recording, ...]
+    free: tuple[str, ...] | None
+    input_units: tuple[str, ...]
+    output_units: tuple[str, ...]
+    noise_floor: Mapping[str, float] = field(default_factory=dict)
+    repeats: tuple[tuple[str, ...], ...] = ()
+    first_order_hold: bool = False
+    closed_loop: bool = False
+    tolerances: Mapping[str, float] = field(default_factory=dict)
+    simulator_source: str = ""
+
+
+def load_case(folder) -> Case:
+    """Read and check a case folder.
+
+    Raises
+    ------
+    InputError
+        One line that says what came, what was expected, and what to do.
+    """
+    folder = Path(folder)
+    path = folder / "case.toml"
+    if not path.is_file():
+        raise InputError(f"{path} does not exist; expected a case folder with case.toml, a simulator and recordings")
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path} is not valid TOML: {error}; correct that line") from error
+    missing = [k for k in ("simulator", "train", "inputs", "outputs") if k not in table]
+    if missing:
+        raise InputError(f"{path} lacks {missing[0]!r}; expected simulator, time, train, inputs and outputs")
+    unknown = sorted(set(table) - _KEYS)
+    if unknown:
+        raise InputError(f"{path} has the unknown key {unknown[0]!r}; expected one of {', '.join(sorted(_KEYS))}")
+    train, test = list(table["train"]), list(table.get("test", []))
+    both = sorted(set(train) & set(test))
+    if both:
+        raise InputError(f"{both[0]} is listed as training and as test recording; list it once")
+    if not train:
+        raise InputError(f"{path} lists no training recording; expected at least one CSV file")
+    inputs, outputs = dict(table["inputs"]), dict(table["outputs"])
+    if not outputs:
+        raise InputError(f"{path} lists no outputs; expected at least one column under [outputs]")
+    for name, unit in (inputs | outputs).items():
+        try:
+            check_unit(str(unit))
+        except InputError as error:
+            raise InputError(f"column {name!r}: {error}") from error
+    plant, source = _load_simulator(folder / table["simulator"], inputs, outputs)
+    units = {**inputs, **outputs}
+
+    def read(name):
+        file = folder / name
+        if not file.is_file():
+            raise InputError(f"{file} does not exist; expected a recording listed in case.toml")
+        return Recording.from_csv(file, list(inputs), list(outputs), time=table.get("time", "t"), units=units)
+
+    hold = table.get("hold", "zero")
+    if hold not in ("zero", "first"):
+        raise InputError(f"hold = {hold!r}; expected 'zero' or 'first'")
+    floor = dict(table.get("noise_floor", {}))
+    strange = [k for k in floor if k not in outputs]
+    if strange:
+        raise InputError(f"noise_floor names {strange[0]!r}, which is not an output; expected one of {list(outputs)}")
+    free = table.get("free_parameters")
+    return Case(plant, tuple(read(n) for n in train), tuple(read(n) for n in test),
+                None if free is None else tuple(free), tuple(inputs.values()), tuple(outputs.values()), floor,
+                tuple(tuple(g) for g in table.get("repeats", [])), hold == "first",
+                bool(table.get("controller") or table.get("closed_loop")), dict(table.get("tolerances", {})), source)
+
+
+def _load_simulator(path: Path, inputs, outputs) -> tuple[Plant, str]:
+    if not path.is_file():
+        raise InputError(f"{path} does not exist; expected the simulator named in case.toml")
+    name = f"pwaid_case_simulator_{next(_serial)}"
+    spec = importlib.util.spec_from_file_location(name, path)
+    module = importlib.util.module_from_spec(spec)
+    linecache.checkcache(str(path))
+    sys.modules[name] = module
+    try:
+        spec.loader.exec_module(module)
+    except Exception as error:
+        raise InputError(f"{path} raised {type(error).__name__}: {error}; it must import cleanly") from error
+    if not hasattr(module, "build"):
+        raise InputError(f"{path} has no build(); expected build() -> control.NonlinearIOSystem or StateSpace")
+    try:
+        system = module.build()
+    except Exception as error:
+        raise InputError(f"build() in {path} raised {type(error).__name__}: {error}; it must return a control system"
+                         ) from error
+    source = path.read_text(encoding="utf-8")
+    plant = as_plant(system, tuple(inputs), tuple(outputs), source=source)
+    _, nu, ny = plant.sizes
+    if nu != len(inputs):
+        raise InputError(f"the simulator has {nu} inputs, case.toml lists {len(inputs)} ({', '.join(inputs)}); "
+                         "list them in the simulator's order")
+    if ny != len(outputs):
+        raise InputError(f"the simulator has {ny} outputs, case.toml lists {len(outputs)} ({', '.join(outputs)}); "
+                         "list them in the simulator's order")
+    names = dict(zip(plant.output_names, outputs, strict=True))
+    plant = Plant(**{**plant.__dict__, "input_names": tuple(inputs), "output_names": tuple(names.values())})
+    return plant, source
+
+
+def write_case(folder, simulator_source: str, train: Mapping[str, Recording], test: Mapping[str, Recording],
+               free_parameters=(), noise_floor: Mapping[str, float] | None = None, extra: str = "") -> Path:
+    """Write a case folder; the inverse of `load_case`, used by the examples."""
+    folder = Path(folder)
+    folder.mkdir(parents=True, exist_ok=True)
+    (folder / "simulator.py").write_text(simulator_source, encoding="utf-8")
+    first = next(iter(train.values()))
+    for name, rec in {**train, **test}.items():
+        header = ",".join(["t", *rec.input_names, *rec.output_names])
+        np.savetxt(folder / name, np.column_stack([rec.time, rec.inputs, rec.outputs]), fmt="%.10g", delimiter=",",
+                   header=header, comments="")
+    quote = lambda names: "[" + ", ".join(f'"{n}"' for n in names) + "]"  # noqa: E731
+    lines = ['simulator = "simulator.py"', 'time = "t"', f"train = {quote(train)}", f"test = {quote(test)}",
+             f"free_parameters = {quote(free_parameters)}"]
+    if noise_floor:
+        lines.append("noise_floor = { " + ", ".join(f"{k} = {v:g}" for k, v in noise_floor.items()) + " }")
+    lines += [extra] if extra else []
+    lines += ["[inputs]"] + [f'{n} = "{first.units[n]}"' for n in first.input_names]
+    lines += ["[outputs]"] + [f'{n} = "{first.units[n]}"' for n in first.output_names]
+    (folder / "case.toml").write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return folder

@@ -1,0 +1,81 @@
+"""Recordings laid end to end, cut into segments that each start from their own free state."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pwaid.errors import InputError
+from pwaid.recording import Recording
+
+__all__ = ["Dataset"]
+
+
+@dataclass(frozen=True)
+class Dataset:
+    """Inputs U (N, nu) and outputs Y (N, ny) of several recordings.
+
+    `segments` (n_segments, 4) holds first and last+1 sample of each segment, then of its recording;
+    the latter give delayed inputs their history.
+    """
+
+    names: tuple[str, ...]
+    U: np.ndarray
+    Y: np.ndarray
+    segments: np.ndarray
+    sample_time: float
+
+    @classmethod
+    def from_recordings(cls, recordings: Sequence[Recording]) -> Dataset:
+        """One segment per recording.
+
+        Raises
+        ------
+        InputError
+            When there is none, or the recordings differ in sampling or channels.
+        """
+        if not recordings:
+            raise InputError("no recording came; expected at least one")
+        first = recordings[0]
+        for r in recordings[1:]:
+            if abs(r.sample_time / first.sample_time - 1) > 1e-3:
+                raise InputError(f"{r.name} is sampled every {r.sample_time:g} s and {first.name} every "
+                                 f"{first.sample_time:g} s; resample them to one clock")
+            if r.input_names != first.input_names or r.output_names != first.output_names:
+                raise InputError(f"{r.name} has the channels {r.names} and {first.name} {first.names}; "
+                                 "expected the same channels in the same order")
+        bounds = np.cumsum([0] + [len(r.time) for r in recordings])
+        rows = [(a, b, a, b) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+        return cls(tuple(r.name for r in recordings),
+                   np.ascontiguousarray(np.vstack([r.inputs for r in recordings])),
+                   np.ascontiguousarray(np.vstack([r.outputs for r in recordings])),
+                   np.array(rows, dtype=np.int64), float(first.sample_time))
+
+    @property
+    def recordings(self) -> np.ndarray:
+        """(n_recordings, 2) first and last+1 sample of each recording."""
+        return np.unique(self.segments[:, 2:], axis=0)
+
+    def cut(self, samples: int) -> Dataset:
+        """Segments of about `samples` samples instead of whole recordings."""
+        rows = []
+        for a, b in self.recordings:
+            pieces = max(1, round((b - a) / samples))
+            edges = np.linspace(a, b, pieces + 1).astype(np.int64)
+            rows += [(i, j, a, b) for i, j in zip(edges[:-1], edges[1:], strict=True)]
+        return replace(self, segments=np.array(rows, dtype=np.int64))
+
+    def part(self, which: Sequence[int]) -> Dataset:
+        """The chosen recordings as a data set of their own."""
+        rec = self.recordings
+        keep = np.concatenate([np.arange(*rec[i]) for i in which])
+        new, rows = 0, []
+        for i in which:
+            a, b = rec[i]
+            for s in self.segments[(self.segments[:, 2] == a)]:
+                rows.append((s[0] - a + new, s[1] - a + new, new, new + b - a))
+            new += b - a
+        return Dataset(tuple(self.names[i] for i in which), np.ascontiguousarray(self.U[keep]),
+                       np.ascontiguousarray(self.Y[keep]), np.array(rows, dtype=np.int64), self.sample_time)

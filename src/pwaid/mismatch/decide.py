@@ -1,0 +1,245 @@
+"""From fitted hypotheses to one of five verdicts.
+
+The verdict rests on held-out recordings: what share of the explainable error an effect removes,
+whether every recording improves, how far the runner-up is, how often the winner wins under a block
+bootstrap. An information criterion alone always names something, so it only breaks ties between
+nested laws. The thresholds of `Thresholds` were set on calibration cases and are frozen
+(docs/mismatch.md says how).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pwaid.mismatch.hypotheses import Hypothesis, floor_square, mean_square
+from pwaid.mismatch.nullfit import Problem
+from pwaid.mismatch.vetoes import veto
+
+__all__ = ["Decision", "Thresholds", "decide", "errors_by_recording"]
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """The numbers a verdict depends on."""
+
+    above_floor: float = 1.15  # error of the null, relative to a trusted floor, that counts as a mismatch
+    share: float = 0.5  # of the explainable held-out error, with a trusted floor
+    share_tentative: float = 0.4  # without one
+    second_share: float = 0.35  # of what the single effect left
+    nested_gain: float = 0.1  # error the larger of two nested laws must remove beyond the smaller
+    rival: float = 1.15  # error ratio within which a rival of another law is not excluded
+    wins: float = 0.8  # share of block bootstraps the winner must win
+    moved: float = 0.02  # a parameter that moved by this share of its value counts as wrong
+    screen: float = 0.02  # screen score below which nothing explains anything
+    whiteness: float = 0.15  # lag-one correlation of the null's residual that counts as structure
+
+
+@dataclass(frozen=True)
+class Decision:
+    """The verdict, the hypothesis behind it, the set that could not be separated, and reasons in words."""
+
+    verdict: str
+    chosen: Hypothesis | None
+    members: tuple[Hypothesis, ...]
+    passed: tuple[Hypothesis, ...]
+    reasons: tuple[str, ...]
+
+
+def errors_by_recording(problem: Problem, Y, data) -> np.ndarray:
+    """Weighted mean-square error of each recording."""
+    r = np.clip((data.Y - Y) / problem.sigma, -1e3, 1e3) ** 2
+    return np.array([r[a:b].mean() for a, b in data.recordings])
+
+
+def _blocks(problem: Problem, Y, data, count: int = 24):
+    r = np.sum(np.clip((data.Y - Y) / problem.sigma, -1e3, 1e3) ** 2, axis=1)
+    parts = []
+    for a, b in data.recordings:
+        edges = np.linspace(a, b, max(4, count // len(data.recordings)) + 1).astype(int)
+        parts += [r[i:j].sum() for i, j in zip(edges[:-1], edges[1:], strict=True)]
+    return np.array(parts)
+
+
+def wins(problem: Problem, winner: Hypothesis, rival: Hypothesis, rng, draws: int = 400) -> float:
+    """Share of block bootstraps, training and held-out blocks together, in which `winner` errs less."""
+    d = np.concatenate([
+        _blocks(problem, rival.fit.Y, problem.train) - _blocks(problem, winner.fit.Y, problem.train),
+        _blocks(problem, rival.test.Y, problem.test) - _blocks(problem, winner.test.Y, problem.test)])
+    picks = rng.integers(0, len(d), (draws, len(d)))
+    return float(np.mean(d[picks].sum(axis=1) > 0))
+
+
+def effective_samples(residual) -> float:
+    """N(1 - rho)/(1 + rho) from the lag-one correlation of a residual (N, ny), summed over outputs."""
+    total = 0.0
+    for k in range(residual.shape[1]):
+        r = residual[:, k] - residual[:, k].mean()
+        power = r @ r
+        rho = float(r[1:] @ r[:-1] / power) if power > 0 else 0.0
+        rho = min(max(rho, 0.0), 0.999)
+        total += len(r) * (1 - rho) / (1 + rho)
+    return max(total, 4.0)
+
+
+def lag_one(residual) -> float:
+    """Largest lag-one correlation over the outputs."""
+    found = 0.0
+    for k in range(residual.shape[1]):
+        r = residual[:, k] - residual[:, k].mean()
+        power = float(r @ r)
+        if power > 0:
+            found = max(found, float(r[1:] @ r[:-1]) / power)
+    return found
+
+
+def criterion(problem: Problem, h: Hypothesis) -> float:
+    """BIC with the effective sample size, from the mean over training and held-out error (for nested ties)."""
+    r = problem.train.Y - h.fit.Y
+    n = effective_samples(r / problem.sigma)
+    return n * np.log(max(h.train_error, 1e-300)) + h.fit.model.size * np.log(n)
+
+
+def decide(problem: Problem, null: Hypothesis, singles: Sequence[Hypothesis], pairs: Sequence[Hypothesis],
+           best_screen: float, thresholds: Thresholds | None = None, seed: int = 0) -> Decision:
+    """The verdict.
+
+    Parameters
+    ----------
+    null : the refitted simulator. singles, pairs : fitted hypotheses. best_screen : highest screen score.
+    """
+    t = thresholds or Thresholds()
+    rng = np.random.default_rng(seed)
+    floor = floor_square(problem)
+    reasons: list[str] = []
+    share = t.share if problem.floor.trusted else t.share_tentative
+    passed = [h for h in singles if _passes(problem, h, null, share)]
+    passed = _judge(passed, reasons)
+    quiet = _quiet(problem, null, floor, t)
+    best = min(passed, key=lambda h: _score(h), default=None)
+    if best is not None and quiet and null.test_error < 1.05 * floor + 1e-12:
+        reasons.append("the refitted simulator is already at the noise floor")
+        best, passed = None, []
+    passed_pairs = _passing_pairs(problem, null, singles, pairs, share, t, reasons)
+    if best is not None:
+        best = _prefer_smaller(problem, best, passed, t)
+        pair = _better_pair(best, passed_pairs, floor, t)
+        if pair is not None:
+            return _name(problem, pair, passed_pairs, t, rng, reasons, singles)
+        return _name(problem, best, passed, t, rng, reasons, singles)
+    if passed_pairs:
+        return _name(problem, passed_pairs[0], passed_pairs, t, rng, reasons, singles)
+    if quiet:
+        return Decision(_agreement_or_parameters(problem, t), null, (), (), tuple(reasons))
+    reasons.append("no effect removed enough of the held-out error")
+    return Decision("unexplained", null, (), (), tuple(reasons))
+
+
+def _score(h: Hypothesis) -> float:
+    return 0.5 * (h.train_error + h.test_error)
+
+
+def _passes(problem, h: Hypothesis, null: Hypothesis, share: float) -> bool:
+    if h.share < share or h.train_error >= null.train_error:
+        return False
+    before = errors_by_recording(problem, null.test.Y, problem.test)
+    after = errors_by_recording(problem, h.test.Y, problem.test)
+    before_t = errors_by_recording(problem, null.fit.Y, problem.train)
+    after_t = errors_by_recording(problem, h.fit.Y, problem.train)
+    return bool(np.all(after < before) and np.all(after_t < before_t))
+
+
+def _judge(passed, reasons):
+    kept = []
+    for h in passed:
+        reason = veto(h)
+        if reason:
+            reasons.append(f"{h.label}: {reason}")
+        else:
+            kept.append(h)
+    return kept
+
+
+def _quiet(problem, null, floor, t) -> bool:
+    """Nothing above the noise: at a trusted floor, or white and at the estimated one."""
+    r = problem.test.Y - problem.null_test.Y
+    level = null.test_error / max(floor, 1e-300)
+    if problem.floor.trusted:
+        return level < t.above_floor
+    return level < 1.5 and lag_one(r) < t.whiteness
+
+
+def _passing_pairs(problem, null, singles, pairs, share, t, reasons):
+    by_label = {h.label: h for h in singles}
+    found = []
+    for h in pairs:
+        if not _passes(problem, h, null, share):
+            continue
+        parts = [by_label.get(e.label) for e in h.located]
+        better = [p for p in parts if p is not None]
+        if any(_gain(problem, p, h) < t.second_share for p in better):
+            continue
+        found.append(h)
+    return sorted(_judge(found, reasons), key=_score)
+
+
+def _gain(problem, single: Hypothesis, pair: Hypothesis) -> float:
+    """Share of what the single effect left above the floor that the pair removes, held out."""
+    floor = floor_square(problem)
+    left = single.test_error - floor
+    return (single.test_error - pair.test_error) / left if left > 0.05 * floor else 0.0
+
+
+def _better_pair(best, pairs, floor, t):
+    for h in pairs:
+        left = best.test_error - floor
+        if left > 0.1 * floor and (best.test_error - h.test_error) > t.second_share * left and (
+                h.train_error < best.train_error):
+            return h
+    return None
+
+
+def _prefer_smaller(problem, best, passed, t):
+    """A law inside the winner's law, at the same place, wins unless the larger one is material by itself."""
+    while True:
+        smaller = [h for h in passed if h.ids[0] in best.located[0].effect.contains
+                   and h.located[0].place.signal == best.located[0].place.signal]
+        if not smaller:
+            return best
+        inner = min(smaller, key=_score)
+        floor = floor_square(problem)
+        gain_test = (inner.test_error - best.test_error) / max(inner.test_error - 0.9 * floor, 1e-12)
+        gain_train = (inner.train_error - best.train_error) / max(inner.train_error - 0.9 * floor, 1e-12)
+        if gain_test > t.nested_gain and gain_train > t.nested_gain and criterion(problem, best) < criterion(
+                problem, inner) - 6:
+            return best
+        best = inner
+
+
+def _name(problem, best, passed, t, rng, reasons, singles) -> Decision:
+    """One name, or the set of those the recordings cannot tell from it."""
+    members = [best]
+    for h in sorted(passed, key=_score):
+        if h is best or h.ids == best.ids or len(members) >= 3:
+            continue
+        nested = len(h.located) == 1 and len(best.located) == 1 and (
+            h.ids[0] in best.located[0].effect.contains or best.ids[0] in h.located[0].effect.contains)
+        if nested:
+            continue
+        ratio = (_score(h)) / max(_score(best), 1e-300)
+        if ratio < t.rival or wins(problem, best, h, rng) < t.wins:
+            members.append(h)
+    if len(members) > 1:
+        reasons.append("rivals within the margin: " + ", ".join(h.label for h in members[1:]))
+        return Decision("one_of", best, tuple(members), tuple(passed), tuple(reasons))
+    return Decision("named", best, (best,), tuple(passed), tuple(reasons))
+
+
+def _agreement_or_parameters(problem: Problem, t: Thresholds) -> str:
+    """Parameters only when the nominal simulator is worse than the refitted one beyond the noise."""
+    before = float(np.mean(np.clip((problem.test.Y - problem.nominal_test.Y) / problem.sigma, -1e3, 1e3) ** 2))
+    after = mean_square(problem, problem.null_test, problem.test)
+    moved = np.any(np.abs(np.expm1(problem.null.theta[:problem.null.model.np])) > t.moved)
+    return "parameters_only" if before > 1.05 * after and moved else "agreement"

@@ -1,0 +1,163 @@
+"""What an effect is: a law, where it may enter, how large it can be, and what separates it from others.
+
+An effect's kernel is one function called by the engine (see `pwaid.mismatch.engine`) with
+
+    kernel(phase, t, h, x, xs, u, p, dx, ii, q)
+
+`q` holds its parameters in the order of `Effect.quantities`, followed by the place's constants, and
+`ii` holds integers that say where it acts:
+
+== ==================================================================================
+ii meaning
+== ==================================================================================
+0  index of its first extra state
+1  how a force enters: 0 through input ii[2], 1 on derivative ii[2] divided by p[ii[3]]
+2  the input or the state equation the force enters
+3  position of the inertia in p, or -1 (then the force is per unit inertia)
+4  state index of the velocity (or of the stored quantity: level, temperature, ...)
+5  state index of the position, or -1
+6  a second velocity or stored quantity, or -1
+7  output index
+8  input index
+9  a second position, or -1
+10 a variant of the law
+== ==================================================================================
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+
+import numpy as np
+from numba import njit
+
+from pwaid.errors import InputError
+from pwaid.mismatch.engine import EFFECT_SIGNATURE
+from pwaid.mismatch.units import combine
+
+__all__ = ["Effect", "Place", "Quantity", "push", "scale_of", "slide", "unit_of"]
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def push(phase, force, ii, u, p, dx):
+    """Add a force at the place ii describes, in phases 1 (through an input) and 2 (on a derivative)."""
+    if ii[1] == 0:
+        if phase == 1:
+            u[ii[2]] += force
+    elif phase == 2:
+        if ii[3] >= 0:
+            dx[ii[2]] += force / p[ii[3]]
+        else:
+            dx[ii[2]] += force
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def slide(level, ii, h, x, mobility):
+    """Dry friction of the given level as a proximal step on the velocity x[ii[4]]."""
+    i = ii[4]
+    g = mobility[i]
+    if g == 0.0:
+        return
+    reach = h * abs(g) * max(level, 0.0)
+    v = x[i]
+    new = v - reach if v > reach else (v + reach if v < -reach else 0.0)
+    impulse = (new - v) / g
+    for k in range(mobility.size):
+        x[k] += mobility[k] * impulse
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One parameter of a law.
+
+    `size` says what sets its scale and unit (``"force/speed^2"``); `low`, `high` and `probes` are
+    multiples of that scale; `log` parameters are positive and fitted on a logarithmic axis. A size that
+    ends in ``_level`` is a threshold: its value is origin + multiple * span of the place's range.
+    """
+
+    name: str
+    size: str
+    low: float
+    high: float
+    probes: tuple[float, ...]
+    log: bool = True
+    neutral: float = 0.0
+
+
+@dataclass(frozen=True)
+class Place:
+    """Where an effect enters one particular simulator, with the scales and units met there."""
+
+    kind: str
+    signal: str
+    variables: tuple[str, ...]
+    ii: tuple[int, ...]
+    scales: Mapping[str, float]
+    units: Mapping[str, Mapping[str, int]]
+    constants: tuple[float, ...] = ()
+    levels: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    note: str = ""
+
+    @property
+    def channel(self) -> str:
+        return f"{self.kind}:{self.signal}"
+
+
+@dataclass(frozen=True)
+class Effect:
+    """One piece of physics that a simulator may have left out."""
+
+    id: str
+    family: str
+    law: str
+    quantities: tuple[Quantity, ...]
+    kernel: Callable
+    places: Callable
+    confused_with: tuple[str, ...] = ()
+    separated_by: str = ""
+    extra_states: int = 0
+    proximal: bool = False
+    contains: tuple[str, ...] = ()
+    memory: bool = False
+    dissipative: bool = False
+    delays: bool = False
+    start: str = "zero"
+    cached: bool = field(default=True, repr=False)
+
+    def compiled(self):
+        """The kernel compiled for the engine."""
+        return _compile(self.kernel, self.cached)
+
+
+@cache
+def _compile(kernel, cached):
+    return njit(EFFECT_SIGNATURE, cache=cached, nogil=True, error_model="numpy")(kernel)
+
+
+def _factors(size: str):
+    up, _, down = size.partition("/")
+    for text, sign in ((up, 1), (down, -1)):
+        for token in text.split("*"):
+            if token and token != "1":
+                name, _, power = token.partition("^")
+                yield name, sign * int(power or 1)
+
+
+def scale_of(size: str, place: Place) -> float:
+    """The scale of a quantity at a place, e.g. force/speed² from the forces and speeds met there."""
+    if size.endswith("_level"):
+        return place.levels[size.removesuffix("_level")][1]
+    value = 1.0
+    for name, power in _factors(size):
+        if name not in place.scales:
+            raise InputError(f"the place {place.channel} has no scale {name!r}; it has {sorted(place.scales)}")
+        value *= place.scales[name] ** power
+    return float(value) if np.isfinite(value) and value > 0 else 1.0
+
+
+def unit_of(size: str, place: Place) -> str:
+    """The unit of a quantity at a place."""
+    size = size.removesuffix("_level")
+    return combine({}, *[(dict(place.units.get(name, {})), power) for name, power in _factors(size)])

@@ -1,0 +1,111 @@
+"""Fluid and thermal stores: outflow laws, losses, limits, a second mass."""
+
+from __future__ import annotations
+
+from math import sqrt
+
+from pwaid.mismatch.effects.base import Effect, Quantity
+
+__all__ = ["EFFECTS"]
+
+
+def root_outflow(phase, t, h, x, xs, u, p, dx, ii, q):
+    """The plant's linear outflow k*x becomes k*sqrt(reference*x)."""
+    if phase == 1:
+        xs[ii[4]] = sqrt(q[0] * max(x[ii[4]], 0.0))
+
+
+def head_offset(phase, t, h, x, xs, u, p, dx, ii, q):
+    """The outflow sees the level plus an offset; variant 1 moves a second store by q[1] too."""
+    if phase == 1:
+        xs[ii[4]] = max(x[ii[4]] + q[0], 0.0)
+
+
+def two_head_offsets(phase, t, h, x, xs, u, p, dx, ii, q):
+    """The outflows of two stores see their levels plus an offset each."""
+    if phase == 1:
+        xs[ii[4]] = max(x[ii[4]] + q[0], 0.0)
+        xs[ii[6]] = max(x[ii[6]] + q[1], 0.0)
+
+
+def leak(phase, t, h, x, xs, u, p, dx, ii, q):
+    """dx/dt = ... - coefficient*x (variant 0) or coefficient*sqrt(x) (variant 1)."""
+    if phase == 2:
+        s = x[ii[4]]
+        if ii[10] == 0:
+            dx[ii[2]] -= q[0] * s
+        else:
+            dx[ii[2]] -= q[0] * (sqrt(s) if s > 0.0 else 0.0)
+
+
+def overflow(phase, t, h, x, xs, u, p, dx, ii, q):
+    """The store stops rising at level; share of the spill enters store ii[6] (q[1] when there is one)."""
+    if phase == 2:
+        i = ii[4]
+        if x[i] >= q[0] and dx[i] > 0.0:
+            spill = dx[i]
+            dx[i] = 0.0
+            if ii[6] >= 0:
+                dx[ii[6]] += q[1] * spill
+
+
+def overflow_both(phase, t, h, x, xs, u, p, dx, ii, q):
+    """Two stores in cascade, each with its own brim; q = level, share, second level."""
+    if phase == 2:
+        i, j = ii[4], ii[6]
+        if x[i] >= q[0] and dx[i] > 0.0:
+            dx[j] += q[1] * dx[i]
+            dx[i] = 0.0
+        if x[j] >= q[2] and dx[j] > 0.0:
+            dx[j] = 0.0
+
+
+def radiation(phase, t, h, x, xs, u, p, dx, ii, q):
+    """dT/dt = ... - coefficient*(T^4 - T_ambient^4)/T_ref^3, temperatures absolute; q[2] makes them so."""
+    if phase == 2:
+        a = (x[ii[4]] + q[2]) / 300.0
+        b = (q[1] + q[2]) / 300.0
+        dx[ii[2]] -= q[0] * 75.0 * (a * a * a * a - b * b * b * b)
+
+
+def second_mass(phase, t, h, x, xs, u, p, dx, ii, q):
+    """dT/dt = ... - coupling_rate*(T - T_2), dT_2/dt = (T - T_2)/time_constant."""
+    if phase == 2:
+        d = x[ii[4]] - x[ii[0]]
+        dx[ii[4]] -= q[0] * d
+        dx[ii[0]] = d / q[1]
+
+
+_LEVEL = Quantity("level", "position_level", 0.2, 1.02, (0.6, 0.8, 0.92), log=False)
+EFFECTS = (
+    Effect("square_root_outflow", "fluid", "outflow = k*sqrt(reference*h) instead of k*h",
+           (Quantity("reference", "position", 0.05, 5.0, (0.3, 1.0)),), root_outflow, lambda s: s.stores("fluid"),
+           ("head_offset", "leakage"), "drain over the full range of levels"),
+    Effect("head_offset", "fluid", "outflow sees h + offset",
+           (Quantity("offset", "position", -0.5, 2.0, (0.05, 0.25), log=False),), head_offset,
+           lambda s: s.stores("fluid"), ("square_root_outflow", "leakage", "sensor_offset"), "drain to empty"),
+    Effect("head_offset", "fluid", "both outflows see h + offset",
+           (Quantity("offset", "position", -0.5, 2.0, (0.05, 0.25), log=False),
+            Quantity("second_offset", "position", -0.5, 2.0, (0.05, 0.25), log=False)), two_head_offsets,
+           lambda s: s.cascades("fluid"), ("square_root_outflow", "leakage", "sensor_offset"), "drain to empty"),
+    Effect("leakage", "fluid", "dx/dt = ... - coefficient*x",
+           (Quantity("coefficient", "1/time", 1e-4, 10.0, (0.03, 0.15, 0.5)),), leak, lambda s: s.stores("fluid"),
+           ("head_offset", "square_root_outflow"), "close everything and wait", dissipative=True),
+    Effect("overflow", "fluid", "dh/dt <= 0 at the brim; a share enters the next store",
+           (_LEVEL, Quantity("share", "1", 0.0, 1.0, (0.05, 0.4), log=False)), overflow,
+           lambda s: s.cascades("fluid"), ("actuator_saturation", "sensor_saturation"), "a long high plateau"),
+    Effect("overflow", "fluid", "dh/dt <= 0 at the brim", (_LEVEL,), overflow, lambda s: s.stores("fluid"),
+           ("actuator_saturation", "sensor_saturation"), "a long high plateau"),
+    Effect("overflow", "fluid", "dh/dt <= 0 at both brims; a share of the first spill enters the second store",
+           (_LEVEL, Quantity("share", "1", 0.0, 1.0, (0.05, 0.4), log=False),
+            Quantity("second_level", "second_level", 0.2, 1.02, (0.92,), log=False)), overflow_both, lambda s: s.cascades("fluid"),
+           ("actuator_saturation", "sensor_saturation"), "a long high plateau"),
+    Effect("radiation", "thermal", "dT/dt = ... - coefficient*75 K*((T/300 K)^4 - (T_ambient/300 K)^4)",
+           (Quantity("coefficient", "1/time", 1e-4, 30.0, (0.03, 0.2, 1.0)),
+            Quantity("ambient", "ambient_level", -5.0, 5.0, (0.0, 0.5), log=False)), radiation, lambda s: s.stores("thermal"),
+           ("leakage", "second_thermal_mass"), "two temperatures, long rests", dissipative=True),
+    Effect("second_thermal_mass", "thermal", "dT/dt = ... - coupling_rate*(T - T2), dT2/dt = (T - T2)/time_constant",
+           (Quantity("coupling_rate", "1/time", 1e-3, 30.0, (0.1, 0.5)),
+            Quantity("time_constant", "time", 0.01, 30.0, (0.2, 1.0, 3.0))), second_mass, lambda s: s.stores("thermal"),
+           ("input_delay", "radiation"), "a step and a long wait", extra_states=1, memory=True, start="stored"),
+)

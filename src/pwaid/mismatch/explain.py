@@ -1,0 +1,166 @@
+"""Explain the mismatch: the pipeline from recordings and a simulator to a verdict and a report.
+
+    hygiene -> floor -> null refit -> locate -> screen -> fit -> pairs -> decide -> report
+"""
+
+from __future__ import annotations
+
+import time as clock
+import warnings
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from pwaid.errors import InputError
+from pwaid.mismatch.case import load_case
+from pwaid.mismatch.dataset import Dataset
+from pwaid.mismatch.decide import Thresholds, decide, lag_one
+from pwaid.mismatch.effects.registry import CATALOGUE, effect_by_id
+from pwaid.mismatch.hygiene import hygiene
+from pwaid.mismatch.hypotheses import fit_pairs, fit_shortlist, floor_square, null_hypothesis
+from pwaid.mismatch.locate import locate
+from pwaid.mismatch.nullfit import prepare
+from pwaid.mismatch.plant import SlowSimulationWarning, as_plant
+from pwaid.mismatch.report import Report, build_report, write_report
+from pwaid.mismatch.screen import locate_effects, screen, shortlist
+from pwaid.recording import Recording
+
+__all__ = ["explain", "explain_case"]
+
+
+def _split(train: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]:
+    """Hold out the last recording, or the last third of the only one."""
+    if len(train) > 1:
+        return list(train[:-1]), [train[-1]]
+    only = train[0]
+    cut = 2 * len(only.time) // 3
+    return [only[:cut]], [only[cut:].replace(name=f"{only.name}[{cut}:]")]
+
+
+def explain(simulator, train, test=None, free_parameters: Sequence[str] | None = None, *, units: Mapping | None = None,
+            tolerances: Mapping[str, float] | None = None, noise_floor: Mapping[str, float] | None = None,
+            repeats=(), hold: str = "zero", closed_loop: bool = False, effects=None, without: Sequence[str] = (),
+            jobs: int = 1, progress: Callable | None = None, thresholds: Thresholds | None = None,
+            source: str = "") -> Report:
+    """Say why a simulator and recordings differ.
+
+    Parameters
+    ----------
+    simulator : control.NonlinearIOSystem, control.StateSpace or transfer function, continuous or
+        discrete, or a right-hand side ``f(t, x, u, params)`` whose states are its outputs.
+    train, test : Recording or sequence of Recording; without test, the last recording (or the last
+        third of a single one) is held out.
+    free_parameters : names of nominal parameters that may be wrong; all of them when None.
+    units : unit per channel name, where the recordings carry none.
+    tolerances : relative tolerance per free parameter; 0.3 by default.
+    noise_floor : level per output, in its unit. repeats : groups of recording names under one input.
+    effects : the catalogue to try; the built-in one plus registered effects by default.
+    without : effect ids left out of the catalogue.
+    jobs : threads. progress : callable ``progress(fraction, text)``.
+
+    Returns
+    -------
+    Report
+        With verdict, effects, fit, simulator, to_dict, to_html, plot.
+
+    Raises
+    ------
+    InputError
+        For unusable input, saying what came, what was expected, what to do.
+    """
+    started = clock.perf_counter()
+    say = progress or (lambda fraction, text: None)
+    train = [train] if isinstance(train, Recording) else list(train)
+    test = [] if test is None else ([test] if isinstance(test, Recording) else list(test))
+    if not train:
+        raise InputError("no training recording came; expected at least one")
+    if not test:
+        train, test = _split(train)
+    for name in without:
+        effect_by_id(name)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", SlowSimulationWarning)
+        plant = as_plant(simulator, train[0].input_names, train[0].output_names, source=source)
+    notes = [str(w.message) for w in caught if issubclass(w.category, SlowSimulationWarning)]
+    for w in caught:
+        if not issubclass(w.category, SlowSimulationWarning):
+            warnings.warn_explicit(w.message, w.category, w.filename, w.lineno)
+    _check_sizes(plant, train + test)
+    units = {**train[0].units, **(units or {})}
+    data, held = Dataset.from_recordings(train), Dataset.from_recordings(test)
+    if abs(held.sample_time / data.sample_time - 1) > 1e-3:
+        raise InputError(f"the test recordings are sampled every {held.sample_time:g} s, the training ones every "
+                         f"{data.sample_time:g} s; resample them to one clock")
+    for r in test:
+        if any(len(r.time) == len(q.time) and np.array_equal(r.outputs, q.outputs) for q in train):
+            raise InputError(f"test recording {r.name} is also a training recording; hold one out")
+    say(0.02, "refitting the nominal simulator")
+    named = {r.name: r.outputs for r in (*train, *test)}
+    problem = prepare(plant, data, held, [units.get(n, "") for n in train[0].input_names],
+                      [units.get(n, "") for n in train[0].output_names], free_parameters, tolerances, noise_floor,
+                      [[named[n] for n in group if n in named] for group in repeats], hold == "first")
+    notes += hygiene(problem, closed_loop)
+    catalogue = [e for e in (CATALOGUE if effects is None else effects) if e.id not in without]
+    located = locate_effects(catalogue, problem.structure)
+    say(0.15, f"screening {len(located)} candidates")
+    null = null_hypothesis(problem)
+    screened = screen(problem, problem.null, located, jobs)
+    chosen = shortlist(screened)
+    say(0.3, f"fitting {len(chosen)} candidates")
+    singles = fit_shortlist(problem, chosen, jobs)
+    pairs = []
+    if singles and _worth_pairs(problem, null, singles):
+        say(0.6, "fitting pairs")
+        pairs = fit_pairs(problem, singles, located, jobs)
+    say(0.85, "deciding")
+    decision = decide(problem, null, singles, pairs, screened[0].score if screened else 0.0, thresholds)
+    say(0.9, "locating")
+    location = locate(problem)
+    report = build_report(problem, null, singles, pairs, screened, decision, location, notes,
+                          len(located) + len(pairs), clock.perf_counter() - started)
+    say(1.0, "done")
+    return report
+
+
+def _worth_pairs(problem, null, singles) -> bool:
+    """Pairs are searched unless the best single law already reaches the floor, or there is nothing to explain."""
+    floor = floor_square(problem)
+    residual = problem.test.Y - problem.null_test.Y
+    if null.test_error < 1.2 * floor and lag_one(residual) < 0.15:
+        return False
+    best = min(h.train_error for h in singles)
+    return best > 1.15 * floor
+
+
+def _check_sizes(plant, recordings):
+    _, nu, ny = plant.sizes
+    for r in recordings:
+        if r.inputs.shape[1] != nu:
+            raise InputError(f"{r.name} has {r.inputs.shape[1]} inputs, the simulator {nu}; give the simulator's inputs")
+        if r.outputs.shape[1] != ny:
+            raise InputError(f"{r.name} has {r.outputs.shape[1]} outputs, the simulator {ny}; "
+                             "give the simulator's outputs")
+
+
+def explain_case(case_dir, out=None, jobs: int = 1, progress: Callable | None = None,
+                 without: Sequence[str] = ()) -> Report:
+    """Explain a case folder and write report.json, report.html and repaired_simulator.py.
+
+    Parameters
+    ----------
+    case_dir : folder with case.toml. out : folder for the results, ``CASE_DIR/explained`` by default.
+    without : effect ids left out of the catalogue.
+
+    Raises
+    ------
+    InputError
+        For an unusable case; nothing is written then.
+    """
+    case = load_case(case_dir)
+    report = explain(case.plant, case.train, case.test or None, case.free, tolerances=case.tolerances,
+                     noise_floor=case.noise_floor, repeats=case.repeats, hold="first" if case.first_order_hold else
+                     "zero", closed_loop=case.closed_loop, without=without, jobs=jobs, progress=progress,
+                     source=case.simulator_source)
+    write_report(report, Path(out) if out is not None else Path(case_dir) / "explained", case.simulator_source)
+    return report

@@ -1,0 +1,185 @@
+"""Least squares on the simulation error: Levenberg-Marquardt with every start state eliminated.
+
+    minimise over (a, z, x0)   Σ ‖(y - ŷ)/σ‖² + Σ (a/prior)²
+
+a are logarithms of nominal-parameter ratios, z the effects' parameters, x0 one start state per
+segment. A start state touches its own segment only, so it is eliminated by a Schur complement and
+a data set with a hundred segments costs as many simulations as one with a single segment.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pwaid.mismatch.dataset import Dataset
+from pwaid.mismatch.model import LIMIT, Model
+
+__all__ = ["Fit", "Jacobian", "fit_model", "fit_starts", "jacobian"]
+
+CLIP = 1e3  # weighted residuals beyond this count as this: a runaway simulation is bad, not infinite
+
+
+@dataclass(frozen=True)
+class Fit:
+    """The end of a fit: parameters, start states, simulated outputs and states, cost."""
+
+    model: Model
+    theta: np.ndarray
+    X0: np.ndarray
+    cost: float
+    Y: np.ndarray
+    X: np.ndarray
+    iterations: int
+
+    def residual(self, data: Dataset) -> np.ndarray:
+        """Recorded minus simulated outputs, (N, ny)."""
+        return data.Y - self.Y
+
+
+@dataclass(frozen=True)
+class Jacobian:
+    """Derivatives of the weighted outputs: G (N ny, globals) and S (N ny, nx) by start state of the own segment."""
+
+    G: np.ndarray
+    S: np.ndarray
+
+
+def _weighted(Y, data, sigma):
+    return np.clip((data.Y - Y) / sigma, -CLIP, CLIP).ravel()
+
+
+def _steps(model: Model, theta):
+    steps = np.full(model.size, 1e-4)
+    k = model.np
+    for e in model.located:
+        for q in e.effect.quantities:
+            steps[k] = 1e-3 if q.log else 1e-3 * max(abs(theta[k]), 0.03)
+            k += 1
+    return steps
+
+
+def jacobian(model: Model, theta, X0, data: Dataset, sigma, Y, ranges, want_states: bool = True,
+             bounds=None) -> Jacobian:
+    """Forward differences around (theta, X0); `ranges` (nx,) are the states' magnitudes."""
+    n = data.Y.size
+    G = np.empty((n, model.size))
+    for k, step in enumerate(_steps(model, theta)):
+        moved = theta.copy()
+        if bounds is not None and theta[k] + step > bounds[1][k]:
+            step = -step
+        moved[k] += step
+        G[:, k] = np.clip((model.simulate(moved, X0, data)[0] - Y) / sigma / step, -1e9, 1e9).ravel()
+    S = np.zeros((n, X0.shape[1]))
+    if want_states:
+        for i in range(X0.shape[1]):
+            step = 1e-4 * max(ranges[i], 1e-9)
+            moved = X0.copy()
+            moved[:, i] += step
+            S[:, i] = np.clip((model.simulate(theta, moved, data)[0] - Y) / sigma, -1e9, 1e9).ravel() / step
+    return Jacobian(G, S)
+
+
+def _rows(data: Dataset):
+    ny = data.Y.shape[1]
+    return [slice(int(a) * ny, int(b) * ny) for a, b in data.segments[:, :2]]
+
+
+def _step(J: Jacobian, r, rows, prior, theta, mu, ranges):
+    """One damped Gauss-Newton step with start states eliminated; returns (globals, starts)."""
+    n = J.G.shape[1]
+    H, g = J.G.T @ J.G, J.G.T @ r
+    H[np.arange(n), np.arange(n)] += prior**2
+    g = g - prior**2 * theta
+    H[np.arange(n), np.arange(n)] *= 1 + mu
+    H[np.arange(n), np.arange(n)] += 1e-12 * (1 + np.max(np.diag(H), initial=0.0))
+    saved = []
+    for s in rows:
+        S = J.S[s] * ranges
+        A = S.T @ S
+        A[np.diag_indices_from(A)] *= 1 + mu
+        A[np.diag_indices_from(A)] += 1e-10 * (np.trace(A) + 1e-12) + 1e-12
+        B, b = S.T @ J.G[s], S.T @ r[s]
+        try:
+            AB = np.linalg.solve(A, np.column_stack([B, b]))
+        except np.linalg.LinAlgError:
+            return None
+        H -= B.T @ AB[:, :-1]
+        g = g - B.T @ AB[:, -1]
+        saved.append(AB)
+    H[np.arange(n), np.arange(n)] += 1e-10 * (1 + np.abs(np.diag(H)).max(initial=0.0))
+    try:
+        d = np.linalg.solve(H, g) if n else np.zeros(0)
+    except np.linalg.LinAlgError:
+        return None
+    starts = np.array([(AB[:, -1] - AB[:, :-1] @ d) * ranges for AB in saved])
+    return d, starts
+
+
+def fit_model(model: Model, data: Dataset, sigma, theta, X0, ranges, iterations: int = 25, tol: float = 1e-4,
+              hold_globals: bool = False) -> Fit:
+    """Fit from one start.
+
+    Parameters
+    ----------
+    sigma : (ny,) residual weights, in the outputs' units.
+    theta : (model.size,) start of the global parameters.
+    X0 : (n_segments, nx) start states.
+    ranges : (nx,) magnitudes of the states, for scaling and difference steps.
+    hold_globals : fit the start states only, as for held-out recordings.
+    """
+    rows = _rows(data)
+    low, high = model.bounds(data.sample_time)
+    prior = np.concatenate([1 / np.log1p(model.settings.tolerance), np.zeros(model.nz)])
+    theta = np.clip(np.asarray(theta, dtype=float), low, high)
+    X0 = np.array(X0, dtype=float)
+    Y, X = model.simulate(theta, X0, data)
+    r = _weighted(Y, data, sigma)
+    cost = r @ r + np.sum((prior * theta) ** 2)
+    mu, done = 1e-3, 0
+    for done in range(1, iterations + 1):
+        if hold_globals:
+            J = jacobian(_Frozen(model, theta), theta[:0], X0, data, sigma, Y, ranges)
+        else:
+            J = jacobian(model, theta, X0, data, sigma, Y, ranges, bounds=(low, high))
+        improved = False
+        for _ in range(7):
+            step = _step(J, r, rows, prior[:0] if hold_globals else prior, theta[:0] if hold_globals else theta, mu,
+                         ranges)
+            if step is None:
+                mu *= 10
+                continue
+            new = theta if hold_globals else np.clip(theta + step[0], low, high)
+            X0n = X0 + step[1]
+            Yn, Xn = model.simulate(new, X0n, data)
+            rn = _weighted(Yn, data, sigma)
+            cn = rn @ rn + np.sum((prior * new) ** 2)
+            if np.isfinite(cn) and cn < cost:
+                improved = True
+                break
+            mu = max(mu, 1e-6) * 8
+        if not improved:
+            break
+        gain = (cost - cn) / max(cost, 1e-300)
+        theta, X0, Y, X, r, cost = new, X0n, Yn, Xn, rn, cn
+        mu = max(mu / 8, 1e-9)
+        if gain < tol:
+            break
+    return Fit(model, theta, X0, float(cost), Y, X, done)
+
+
+class _Frozen:
+    """A model whose globals are fixed, so that only start states are differentiated."""
+
+    def __init__(self, model, theta):
+        self._model, self._theta, self.located, self.np = model, theta, (), 0
+        self.size = 0
+
+    def simulate(self, _, X0, data):
+        return self._model.simulate(self._theta, X0, data)
+
+
+def fit_starts(model: Model, data: Dataset, sigma, theta, X0, ranges, iterations: int = 8) -> Fit:
+    """Fit the start states with everything else held."""
+    return fit_model(model, data, sigma, theta, X0, ranges, iterations, 1e-5, hold_globals=True)

@@ -1,0 +1,112 @@
+"""Plain-word warnings before any statistics: units, signs, flat tops, clocks, feedback, coverage."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pwaid.mismatch.nullfit import Problem
+
+__all__ = ["hygiene"]
+
+
+def hygiene(problem: Problem, closed_loop: bool = False) -> list[str]:
+    """Warnings about the recordings and the simulator, in the order an engineer would check them."""
+    data, plant = problem.train, problem.plant
+    notes = [*problem.notes, *plant.notes]
+    for k, name in enumerate(plant.output_names):
+        y = data.Y[:, k]
+        notes += _distinct(name, y)
+        notes += _flat(name, y)
+        notes += _sign(name, y, problem.nominal.Y[:, k])
+    notes += _swapped(problem)
+    for j, name in enumerate(plant.input_names):
+        if np.ptp(data.U[:, j]) == 0:
+            notes.append(f"input {name} is constant: effects of this channel cannot be seen")
+    notes += _feedback(problem, closed_loop)
+    notes += _delay(problem)
+    notes += _coverage(problem)
+    return notes
+
+
+def _distinct(name, y):
+    values = np.unique(y)
+    if len(values) < 0.1 * len(y):
+        step = np.median(np.diff(values)) if len(values) > 1 else 0.0
+        return [f"{name} takes only {len(values)} distinct values in {len(y)} samples (step about {step:.3g}): quantised"]
+    return []
+
+
+def _flat(name, y):
+    notes = []
+    for level, word in ((y.max(), "top"), (y.min(), "bottom")):
+        share = np.mean(np.abs(y - level) <= 1e-9 * max(np.ptp(y), 1e-300))
+        if share > 0.01 and share * len(y) > 5:
+            notes.append(f"{name} stays at exactly {level:.6g} for {100 * share:.1f} % of the samples: a flat {word}")
+    return notes
+
+
+def _sign(name, y, simulated):
+    a, b = y - y.mean(), simulated - simulated.mean()
+    power = np.sqrt((a @ a) * (b @ b))
+    if power > 0 and a @ b / power < -0.6:
+        return [f"{name} and its simulation are mirrored: check the sign of a channel"]
+    if (b @ b) > 0:
+        ratio = np.sqrt((a @ a) / (b @ b))
+        if (ratio > 8 or ratio < 0.125) and a @ b / power > 0.6:
+            return [f"{name} is {ratio:.3g} times its simulation in size: check the units"]
+    return []
+
+
+def _swapped(problem):
+    Y, S = problem.train.Y, problem.nominal.Y
+    if Y.shape[1] < 2:
+        return []
+    Yc, Sc = Y - Y.mean(0), S - S.mean(0)
+    C = (Yc.T @ Sc) / np.maximum(np.outer(np.linalg.norm(Yc, axis=0), np.linalg.norm(Sc, axis=0)), 1e-300)
+    notes = []
+    for i in range(len(C)):
+        for j in range(i + 1, len(C)):
+            if min(C[i, j], C[j, i]) > 0.95 and max(C[i, i], C[j, j]) < 0.5:
+                names = problem.plant.output_names
+                notes.append(f"outputs {names[i]} and {names[j]} look swapped")
+    return notes
+
+
+def _feedback(problem, closed_loop):
+    """Residual against later inputs: a correlation that leads the input is the controller at work."""
+    if closed_loop:
+        return ["closed loop as stated: the simulation runs on the recorded plant input"]
+    data = problem.train
+    r = problem.null.residual(data)[:, 0]
+    worst = 0.0
+    for j in range(data.U.shape[1]):
+        du = np.diff(data.U[:, j], prepend=data.U[0, j])
+        du = du - du.mean()
+        for a, b in data.recordings:
+            n = b - a
+            white = np.diff(r[a:b], prepend=r[a])
+            power = np.linalg.norm(white) * np.linalg.norm(du[a:b])
+            if power > 0:
+                lags = range(1, min(20, n // 10))
+                worst = max([worst] + [abs(white[:-k] @ du[a:b][k:]) / power for k in lags])
+    if worst > 0.3:
+        return [f"the residual leads the input (correlation {worst:.2f}): the recordings look like closed loop"]
+    return []
+
+
+def _delay(problem):
+    return []
+
+
+def _coverage(problem):
+    s = problem.structure
+    notes = []
+    for v in s.velocities():
+        if s.low[v] >= 0 or s.high[v] <= 0:
+            notes.append(f"{s.plant.state_names[v]} never changes sign: reversals, dry friction's asymmetry and backlash "
+                         "were not tested")
+    for j, name in enumerate(s.plant.input_names):
+        u = problem.train.U[:, j]
+        if u.size and (u.min() >= 0 or u.max() <= 0):
+            notes.append(f"input {name} has one sign only: its asymmetry and dead zone were hardly tested")
+    return notes

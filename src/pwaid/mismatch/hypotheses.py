@@ -1,0 +1,185 @@
+"""Fit the short list by simulation error, single effects and pairs, and measure each on held-out recordings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pwaid.mismatch.dataset import Dataset
+from pwaid.mismatch.fit import Fit, fit_model
+from pwaid.mismatch.model import Located, Model
+from pwaid.mismatch.nullfit import Problem
+from pwaid.mismatch.screen import Screened, run_jobs, screen, shortlist
+
+__all__ = ["Hypothesis", "fit_pairs", "fit_shortlist", "floor_square", "mean_square", "null_hypothesis", "share"]
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """A fitted set of effects with its errors on training and held-out recordings (weighted mean squares)."""
+
+    located: tuple[Located, ...]
+    fit: Fit
+    test: Fit
+    train_error: float
+    test_error: float
+    share: float
+    score: float = 0.0
+
+    @property
+    def ids(self) -> tuple[str, ...]:
+        return tuple(e.effect.id for e in self.located)
+
+    @property
+    def families(self) -> tuple[str, ...]:
+        return tuple(e.effect.family for e in self.located)
+
+    @property
+    def label(self) -> str:
+        return " + ".join(e.label for e in self.located) if self.located else "parameters only"
+
+    def values(self) -> list[np.ndarray]:
+        """Parameters of each effect in their units."""
+        return self.fit.model.parts(self.fit.theta)
+
+
+def mean_square(problem: Problem, fit: Fit, data) -> float:
+    """Weighted mean square of the simulation error."""
+    return float(np.mean(np.clip((data.Y - fit.Y) / problem.sigma, -1e3, 1e3) ** 2))
+
+
+def floor_square(problem: Problem) -> float:
+    """The floor in the same measure."""
+    return float(np.mean((problem.floor.level / problem.sigma) ** 2))
+
+
+def share(problem: Problem, error: float, before: float | None = None) -> float:
+    """Share of the explainable held-out error that is removed, from `before` (the refitted null by default)."""
+    start = mean_square(problem, problem.null_test, problem.test) if before is None else before
+    explainable = start - floor_square(problem)
+    return float((start - error) / explainable) if explainable > 1e-12 else 0.0
+
+
+def _hypothesis(problem: Problem, fit: Fit, score: float, start=None) -> Hypothesis:
+    test = problem.heldout(fit, start)
+    train_error = mean_square(problem, fit, problem.train)
+    test_error = mean_square(problem, test, problem.test)
+    return Hypothesis(fit.model.located, fit, test, train_error, test_error, share(problem, test_error), score)
+
+
+def null_hypothesis(problem: Problem) -> Hypothesis:
+    """The refitted simulator without any effect."""
+    return _hypothesis(problem, problem.null, 0.0)
+
+
+def _window(problem: Problem, base: Fit, samples: int = 600) -> tuple[Dataset, np.ndarray]:
+    """The quarter of each recording where the residual is largest, with the start states simulated there."""
+    data = problem.train
+    energy = np.sum(((data.Y - base.Y) / problem.sigma) ** 2, axis=1)
+    keep, rows, starts, new = [], [], [], 0
+    for a, b in data.recordings:
+        n = int(min(b - a, max(samples, (b - a) // 4)))
+        running = np.cumsum(np.concatenate([[0.0], energy[a:b]]))
+        first = a + int(np.argmax(running[n:] - running[:-n]))
+        inner = [s for s in data.segments[:, 0] if first < s < first + n]  # keep the segments' cuts
+        edges = [first, *inner, first + n]
+        for i, j in zip(edges[:-1], edges[1:], strict=True):
+            rows.append((i - first + new, j - first + new, new, new + n))
+            starts.append(base.X[i, :base.model.nx])
+        keep.append(np.arange(first, first + n))
+        new += n
+    index = np.concatenate(keep)
+    return Dataset(data.names, np.ascontiguousarray(data.U[index]), np.ascontiguousarray(data.Y[index]),
+                   np.array(rows, dtype=np.int64), data.sample_time), np.array(starts)
+
+
+def _fit_one(problem: Problem, base: Fit, candidate: Screened, iterations: int = 20) -> Fit:
+    """A few steps from each of the screen's best starts on the richest quarter, then all data from the best.
+
+    One start returns to the nominal parameters: the null may have bent them to absorb the effect.
+    """
+    model = Model(problem.settings, (*base.model.located, candidate.located))
+    starts = candidate.starts or (np.zeros(candidate.located.size),)
+    data, X0 = problem.train, base.X0
+    if not any(e.effect.family == "time" for e in model.located):
+        data, X0 = _window(problem, base)
+    before, n = base.theta, base.model.np
+    options = [np.concatenate([before, z]) for z in starts[:3]]
+    options.append(np.concatenate([np.zeros(n), before[n:], starts[0]]))
+    trials = [fit_model(model, data, problem.sigma, theta, X0, problem.ranges, 5, 1e-3) for theta in options]
+    trials.sort(key=lambda f: f.cost)
+    ends = []
+    for trial in trials[:2]:
+        if ends and trial.cost > 4 * trials[0].cost:
+            break
+        ends.append(fit_model(model, problem.train, problem.sigma, trial.theta, base.X0, problem.ranges, 6, 1e-3))
+    best = min(ends, key=lambda f: f.cost)
+    return fit_model(model, problem.train, problem.sigma, best.theta, best.X0, problem.ranges, iterations, 1e-4)
+
+
+def fit_shortlist(problem: Problem, candidates: Sequence[Screened], jobs: int = 1, base: Fit | None = None,
+                  tick=None) -> list[Hypothesis]:
+    """Fit every candidate on top of `base` (the null by default), best training error first."""
+    base = problem.null if base is None else base
+
+    def one(candidate):
+        fit = _fit_one(problem, base, candidate)
+        if tick:
+            tick()
+        return _hypothesis(problem, fit, candidate.score)
+
+    found = run_jobs(one, candidates, jobs)
+    return sorted(found, key=lambda h: h.train_error)
+
+
+def _same_knob(a: Located, b: Located) -> bool:
+    """Two laws of one id, or one containing the other, at the same place: not a pair."""
+    if a.place.ii[:6] != b.place.ii[:6] and a.effect.id != b.effect.id:
+        return False
+    return (a.effect.id == b.effect.id or b.effect.id in a.effect.contains or a.effect.id in b.effect.contains)
+
+
+def _distinct(hypotheses: Sequence[Hypothesis], count: int) -> list[Hypothesis]:
+    """The best hypothesis of each id and place, in order."""
+    seen, chosen = set(), []
+    for h in hypotheses:
+        key = (h.ids, tuple(e.place.signal for e in h.located))
+        if key not in seen:
+            seen.add(key)
+            chosen.append(h)
+    return chosen[:count]
+
+
+def fit_pairs(problem: Problem, singles: Sequence[Hypothesis], located: Sequence[Located], jobs: int = 1,
+              beam: int = 2, width: int = 2, tick=None) -> list[Hypothesis]:
+    """On top of the best singles, screen again and fit the best seconds, then the variants of the best pair's laws."""
+    pairs: list[Hypothesis] = []
+    seen: set[frozenset] = set()
+    for h in _distinct(singles, beam):
+        others = [c for c in located if not _same_knob(c, h.located[0])]
+        again = screen(problem, h.fit, others, jobs)
+        chosen = []
+        for s in again:
+            key = frozenset(((h.ids[0], h.located[0].place.signal), (s.located.effect.id, s.located.place.signal)))
+            if s.score > 0 and key not in seen and len(chosen) < width:
+                seen.add(key)
+                chosen.append(s)
+        pairs += fit_shortlist(problem, chosen, jobs, base=h.fit, tick=tick)
+    pairs.sort(key=lambda h: h.train_error)
+    for best in _distinct(pairs, 1):
+        pairs += _variants(problem, best, singles, located, jobs, tick)
+    return sorted(pairs, key=lambda h: h.train_error)
+
+
+def _variants(problem, pair, singles, located, jobs, tick):
+    """The same two ids under their other laws and places next to these."""
+    first, second = pair.located
+    base = next((h for h in singles if h.located[0].key == first.key), None)
+    if base is None:
+        return []
+    others = [c for c in located if c.effect.id == second.effect.id and c.key != second.key
+              and c.place.kind == second.place.kind][:3]
+    candidates = [s for s in screen(problem, base.fit, others, jobs) if s.score > 0]
+    return fit_shortlist(problem, candidates, jobs, base=base.fit, tick=tick)

@@ -1,0 +1,188 @@
+"""One hypothesis: the user's plant with effects injected, simulated over a data set for given parameters."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from pwaid.mismatch.dataset import Dataset
+from pwaid.mismatch.effects.base import Effect, Place, scale_of, unit_of
+from pwaid.mismatch.engine import idle, simulate_segments
+from pwaid.mismatch.plant import Plant
+from pwaid.mismatch.slow_engine import simulate_segments_slowly
+
+__all__ = ["Located", "Model", "Settings"]
+
+LIMIT = 1e9
+_CONTACTS = {"stiffness": 0.8, "contact_frequency": 0.8}
+
+
+@dataclass(frozen=True)
+class Located:
+    """An effect at a place, with its parameters on the axis they are fitted on."""
+
+    effect: Effect
+    place: Place
+
+    @property
+    def label(self) -> str:
+        note = f" ({self.place.note})" if self.place.note else ""
+        return f"{self.effect.id} at {self.place.channel}{note}"
+
+    @property
+    def key(self) -> tuple:
+        """What tells two candidates apart, variants of a law included."""
+        return self.effect.id, self.effect.law, self.place.channel, self.place.ii
+
+    @property
+    def size(self) -> int:
+        return len(self.effect.quantities)
+
+    @cached_property
+    def scales(self) -> np.ndarray:
+        return np.array([scale_of(q.size, self.place) for q in self.effect.quantities])
+
+    @cached_property
+    def origins(self) -> np.ndarray:
+        return np.array([self.place.levels[q.size.removesuffix("_level")][0] if q.size.endswith("_level") else 0.0
+                         for q in self.effect.quantities])
+
+    @cached_property
+    def spans(self) -> np.ndarray:
+        return np.array([self.place.levels[q.size.removesuffix("_level")][1] if q.size.endswith("_level") else s
+                         for q, s in zip(self.effect.quantities, self.scales, strict=True)])
+
+    def units(self) -> list[str]:
+        return [unit_of(q.size, self.place) for q in self.effect.quantities]
+
+    def physical(self, z) -> np.ndarray:
+        """Parameters in their units from the fitted axis (log of the multiple, or the multiple)."""
+        return np.array([o + s * (np.exp(v) if q.log else v) for v, q, s, o in
+                         zip(z, self.effect.quantities, self.spans, self.origins, strict=True)])
+
+    def internal(self, multiples) -> np.ndarray:
+        """The fitted axis from multiples of the scales."""
+        return np.array([np.log(max(m, 1e-12)) if q.log else m
+                         for m, q in zip(multiples, self.effect.quantities, strict=True)])
+
+    def from_physical(self, values) -> np.ndarray:
+        return self.internal([(v - o) / s for v, s, o in zip(values, self.spans, self.origins, strict=True)])
+
+    def bounds(self, h: float) -> tuple[np.ndarray, np.ndarray]:
+        """Bounds on the fitted axis; contact stiffness stays within what the substep h resolves."""
+        low, high = [], []
+        for q, s in zip(self.effect.quantities, self.spans, strict=True):
+            a, b = q.low, q.high
+            if q.name == "stiffness" and self.effect.id in ("end_stop", "presliding_friction"):
+                b = min(b, 0.5 / h**2 * self.place.scales.get("inertia", 1.0) / s)
+            elif q.name == "contact_frequency":
+                b = min(b, 0.7 / h / s)
+            elif q.name == "yield_displacement":
+                a = max(a, 1.5 * h * self.place.scales["speed"] / s)
+            elif q.size == "time":
+                a = max(a, 0.02 * h / s)
+            a, b = min(a, 0.5 * b) if q.log else a, b
+            low.append(np.log(a) if q.log else a)
+            high.append(np.log(b) if q.log else b)
+        return np.array(low), np.array(high)
+
+
+@dataclass(frozen=True)
+class Settings:
+    """What every hypothesis of one problem shares."""
+
+    plant: Plant
+    partner: np.ndarray
+    ratio: np.ndarray
+    free: tuple[str, ...]
+    tolerance: np.ndarray
+    substeps: int = 1
+    first_order_hold: bool = False
+
+
+class Model:
+    """The plant with `located` effects (at most three), ready to simulate."""
+
+    def __init__(self, settings: Settings, located: tuple[Located, ...] = (), substeps: int | None = None):
+        self.settings, self.located = settings, tuple(located)
+        plant = settings.plant
+        self.nx = plant.sizes[0]
+        self.substeps = substeps or max(
+            [settings.substeps] + [min(4, 4 * settings.substeps) for e in located if e.effect.id in
+                                   ("end_stop", "backlash", "presliding_friction", "overflow")])
+        self.positions = np.array([list(plant.parameters).index(n) for n in settings.free], dtype=int)
+        self.np, self.nz = len(self.positions), sum(e.size for e in self.located)
+        self.extra = sum(e.effect.extra_states for e in self.located)
+        self.kernels = [e.effect.compiled() for e in self.located] + [idle] * (3 - len(self.located))
+        rows, offset = [], self.nx
+        for e in self.located:
+            ii = list(e.place.ii)
+            ii[0] = offset
+            offset += e.effect.extra_states
+            rows.append(ii)
+        self.II = np.array(rows + [[0] * 12] * (3 - len(rows)), dtype=np.int64)
+        self.width = max([len(e.effect.quantities) + len(e.place.constants) for e in self.located] + [1])
+        self.proximal = np.array([int(e.effect.proximal) for e in self.located] + [0] * (3 - len(self.located)))
+        delayed = [int(e.place.ii[8]) for e in self.located if e.effect.delays]
+        self.delayed = delayed[0] if delayed else -1
+
+    @property
+    def size(self) -> int:
+        """Number of global parameters: free nominal ones, then those of the effects."""
+        return self.np + self.nz
+
+    def parts(self, theta) -> list[np.ndarray]:
+        """The effects' parameters in their units, one array each."""
+        out, k = [], self.np
+        for e in self.located:
+            out.append(e.physical(theta[k:k + e.size]))
+            k += e.size
+        return out
+
+    def parameters(self, theta) -> np.ndarray:
+        """All plant parameters by position."""
+        p = self.settings.plant.vector()
+        for k, i in enumerate(self.positions):
+            p[i] *= np.exp(theta[k])
+        return p
+
+    def bounds(self, sample_time: float) -> tuple[np.ndarray, np.ndarray]:
+        wide = np.log1p(self.settings.tolerance) * 3.0
+        low, high = [-wide], [wide]
+        for e in self.located:
+            a, b = e.bounds(sample_time / self.substeps)
+            low.append(a)
+            high.append(b)
+        return np.concatenate(low), np.concatenate(high)
+
+    def simulate(self, theta, X0, data: Dataset) -> tuple[np.ndarray, np.ndarray]:
+        """Outputs (N, ny) and states (N, nx + extra); LIMIT fills what ran away."""
+        return self.simulate_with(self.parameters(theta), self.parts(theta), X0, data)
+
+    def simulate_with(self, p, parts, X0, data: Dataset):
+        Q = np.zeros((3, self.width))
+        delay = np.zeros(data.U.shape[1])
+        for k, (e, values) in enumerate(zip(self.located, parts, strict=True)):
+            row = np.concatenate([values, e.place.constants])
+            Q[k, :row.size] = row
+            if e.effect.delays:
+                delay[e.place.ii[8]] += values[0]
+        start = np.zeros((len(data.segments), self.nx + self.extra))
+        start[:, :self.nx] = X0
+        for k, e in enumerate(self.located):
+            o = self.II[k, 0]
+            if e.effect.start == "input":
+                start[:, o:o + e.effect.extra_states] = data.U[data.segments[:, 0], self.II[k, 8]][:, None]
+            elif e.effect.start == "stored":
+                start[:, o] = X0[:, self.II[k, 4]]
+        Y = np.empty((len(data.U), data.Y.shape[1]))
+        X = np.empty((len(data.U), self.nx + self.extra))
+        plant, s = self.settings.plant, self.settings
+        loop = simulate_segments if plant.rhs is not None else simulate_segments_slowly
+        first = plant.rhs if plant.rhs is not None else plant
+        loop(first, plant.out if plant.rhs is not None else None, *self.kernels, len(self.located), self.nx,
+             start, data.segments, data.U, delay, data.sample_time, 1 if plant.dt else self.substeps,
+             float(s.first_order_hold), int(plant.dt > 0), p, self.II, Q, self.proximal, s.partner, s.ratio, X, Y, LIMIT)
+        return Y, X

@@ -1,0 +1,207 @@
+"""What the tool knows of the user's simulator: sizes, names, parameters, and the two functions to call."""
+
+from __future__ import annotations
+
+import inspect
+import warnings
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+
+import control
+import numpy as np
+from numba import njit
+
+from pwaid.errors import InputError
+from pwaid.mismatch.compile_rhs import CompileFailure, compiled_pair
+from pwaid.mismatch.engine import RHS_TYPE
+
+__all__ = ["Plant", "SlowSimulationWarning", "as_plant"]
+
+
+class SlowSimulationWarning(UserWarning):
+    """The simulator runs in the plain Python loop; the text says how long that may take."""
+
+
+@dataclass(frozen=True)
+class Plant:
+    """The nominal simulator as functions f(t, x, u, params) and g(t, x, u, params).
+
+    `rhs` and `out` are their compiled forms, None when they do not compile; `parameters` maps every
+    name to its nominal value in a fixed order. `dt` is 0 for continuous time.
+    """
+
+    update: Callable
+    output: Callable | None
+    state_names: tuple[str, ...]
+    input_names: tuple[str, ...]
+    output_names: tuple[str, ...]
+    parameters: Mapping[str, float] = field(default_factory=dict)
+    dt: float = 0.0
+    rhs: object = None
+    out: object = None
+    source: str = ""
+    linear: bool = False
+    notes: tuple[str, ...] = ()
+
+    @property
+    def sizes(self) -> tuple[int, int, int]:
+        return len(self.state_names), len(self.input_names), len(self.output_names)
+
+    def vector(self) -> np.ndarray:
+        """Nominal parameter values by position; one zero when there are none, for the compiled loop."""
+        return np.array(list(self.parameters.values()), dtype=float) if self.parameters else np.zeros(1)
+
+    def derivative(self, x, u, p=None, t: float = 0.0) -> np.ndarray:
+        """dx/dt (or the next state) at one point."""
+        x, u = np.asarray(x, dtype=float).copy(), np.asarray(u, dtype=float).copy()
+        p = self.vector() if p is None else p
+        if self.rhs is not None:
+            dx = np.empty(len(x))
+            self.rhs(t, x, u, p, dx)
+            return dx
+        return np.asarray(self.update(t, x, u, self.as_dict(p)), dtype=float).ravel()
+
+    def outputs(self, x, u, p=None, t: float = 0.0) -> np.ndarray:
+        """y at one point."""
+        x, u = np.asarray(x, dtype=float).copy(), np.asarray(u, dtype=float).copy()
+        p = self.vector() if p is None else p
+        if self.out is not None:
+            y = np.empty(len(self.output_names))
+            self.out(t, x, u, p, y)
+            return y
+        if self.output is None:
+            return x
+        return np.asarray(self.output(t, x, u, self.as_dict(p)), dtype=float).ravel()
+
+    def as_dict(self, p) -> dict[str, float]:
+        return dict(zip(self.parameters, p, strict=False))
+
+
+@njit(RHS_TYPE.signature, cache=True, nogil=True, error_model="numpy")
+def _linear_rhs(t, x, u, p, dx):
+    n, m = x.size, u.size
+    for i in range(n):
+        s = 0.0
+        for j in range(n):
+            s += p[i * n + j] * x[j]
+        for j in range(m):
+            s += p[n * n + i * m + j] * u[j]
+        dx[i] = s
+
+
+@njit(RHS_TYPE.signature, cache=True, nogil=True, error_model="numpy")
+def _linear_out(t, x, u, p, y):
+    n, m = x.size, u.size
+    base = n * n + n * m
+    for i in range(y.size):
+        s = 0.0
+        for j in range(n):
+            s += p[base + i * n + j] * x[j]
+        for j in range(m):
+            s += p[base + y.size * n + i * m + j] * u[j]
+        y[i] = s
+
+
+def _from_state_space(system: control.StateSpace, source: str) -> Plant:
+    parts = {"A": system.A, "B": system.B, "C": system.C, "D": system.D}
+    parameters = {
+        f"{k}[{i},{j}]": float(M[i, j]) for k, M in parts.items() for i in range(M.shape[0]) for j in range(M.shape[1])
+    }
+
+    def matrices(params):
+        return {k: np.array([[params[f"{k}[{i},{j}]"] for j in range(M.shape[1])] for i in range(M.shape[0])]).reshape(
+            M.shape) for k, M in parts.items()}
+
+    def update(t, x, u, params):
+        m = matrices(params)
+        return m["A"] @ x + m["B"] @ u
+
+    def output(t, x, u, params):
+        m = matrices(params)
+        return m["C"] @ x + m["D"] @ u
+
+    return Plant(update, output, tuple(system.state_labels), tuple(system.input_labels), tuple(system.output_labels),
+                 parameters, _time_step(system), _linear_rhs, _linear_out, source, linear=True)
+
+
+def _time_step(system) -> float:
+    if system.dt in (0, None):
+        return 0.0
+    if system.dt is True:
+        raise InputError("the simulator is discrete with an unspecified step (dt=True); give dt in seconds")
+    return float(system.dt)
+
+
+def _from_nonlinear(system: control.NonlinearIOSystem, source: str) -> Plant:
+    parameters = {}
+    for name, value in (system.params or {}).items():
+        if isinstance(value, int | float | np.floating | np.integer):
+            parameters[name] = float(value)
+        else:
+            raise InputError(f"parameter {name!r} of the simulator is {type(value).__name__}; expected one number: "
+                             "split arrays into scalars")
+    if system.updfcn is None:
+        raise InputError("the simulator has no update function; give control.nlsys(update, output, ...)")
+    plant = Plant(system.updfcn, system.outfcn, tuple(system.state_labels), tuple(system.input_labels),
+                  tuple(system.output_labels), parameters, _time_step(system), source=source)
+    return _compile(_checked(plant))
+
+
+def _checked(plant: Plant) -> Plant:
+    nx, nu, ny = plant.sizes
+    x, u = np.full(nx, 0.1), np.zeros(nu)
+    try:
+        with np.errstate(all="ignore"):
+            dx = np.asarray(plant.update(0.0, x, u, dict(plant.parameters)), dtype=float).ravel()
+            y = plant.outputs(x, u)
+    except Exception as error:
+        raise InputError(f"the simulator raised {type(error).__name__}: {error}; expected derivatives at "
+                         f"x = {x.tolist()}, u = {u.tolist()}; correct the simulator or its params") from error
+    if dx.size != nx:
+        raise InputError(f"the simulator returned {dx.size} derivatives for {nx} states; return one per state")
+    if y.size != ny:
+        raise InputError(f"the simulator returned {y.size} outputs, expected {ny}; correct its output function")
+    return plant
+
+
+def _compile(plant: Plant) -> Plant:
+    try:
+        rhs, out = compiled_pair(plant.update, plant.output, plant.sizes, plant.parameters)
+    except CompileFailure as failure:
+        warnings.warn(
+            f"the simulator runs in the plain Python loop ({failure}); expect minutes instead of seconds. "
+            "Simple arithmetic on x[i], u[j], params['name'] compiles.", SlowSimulationWarning, stacklevel=3)
+        return replace(plant, notes=(f"simulated in the plain Python loop: {failure}",))
+    return replace(plant, rhs=rhs, out=out)
+
+
+def as_plant(simulator, input_names=None, output_names=None, parameters: Mapping[str, float] | None = None,
+             source: str = "") -> Plant:
+    """Accept any simulator the tool can inject effects into.
+
+    Parameters
+    ----------
+    simulator : control.NonlinearIOSystem, control.StateSpace, control.TransferFunction, or a right-hand
+        side ``f(t, x, u, params)`` whose states are its outputs.
+    input_names, output_names : names used for a bare right-hand side.
+    parameters : defaults used for a bare right-hand side.
+
+    Raises
+    ------
+    InputError
+        When the object is none of these, or does not evaluate.
+    """
+    if isinstance(simulator, Plant):
+        return simulator
+    if isinstance(simulator, control.TransferFunction):
+        simulator = control.ss(simulator)
+    if isinstance(simulator, control.StateSpace):
+        return _from_state_space(simulator, source)
+    if isinstance(simulator, control.NonlinearIOSystem):
+        return _from_nonlinear(simulator, source)
+    if callable(simulator) and len(inspect.signature(simulator).parameters) >= 4:
+        names = tuple(output_names or ())
+        plant = Plant(simulator, None, names, tuple(input_names or ()), names, dict(parameters or {}), source=source)
+        return _compile(_checked(plant))
+    raise InputError(f"the simulator is a {type(simulator).__name__}; expected control.nlsys, control.ss, a transfer "
+                     "function, a right-hand side f(t, x, u, params), or a callable simulate(u)")

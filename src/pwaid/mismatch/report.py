@@ -1,0 +1,226 @@
+"""The report: what report.json holds, and the object that `explain` returns."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from pwaid.mismatch.decide import Decision
+from pwaid.mismatch.experiment import next_experiment
+from pwaid.mismatch.hypotheses import Hypothesis, share
+from pwaid.mismatch.intervals import parameter_intervals
+from pwaid.mismatch.locate import Location
+from pwaid.mismatch.measures import fit_table
+from pwaid.mismatch.nullfit import Problem
+from pwaid.mismatch.repaired import repaired_source, repaired_system
+from pwaid.mismatch.summary import summary_text
+
+__all__ = ["SCHEMA", "Report", "build_report", "write_report"]
+
+SCHEMA = "pwaid.mismatch/1"
+
+
+@dataclass(frozen=True)
+class Report:
+    """The answer: `verdict`, `effects`, `fit`, `simulator`, `to_dict`, `to_html`, `plot`, `summary`."""
+
+    content: dict
+    problem: Problem = field(repr=False)
+    null: Hypothesis = field(repr=False)
+    decision: Decision = field(repr=False)
+    singles: tuple[Hypothesis, ...] = field(repr=False)
+    pairs: tuple[Hypothesis, ...] = field(repr=False)
+    location: Location = field(repr=False)
+
+    @property
+    def verdict(self) -> str:
+        return self.content["verdict"]
+
+    @property
+    def effects(self) -> list[dict]:
+        return self.content["effects"]
+
+    @property
+    def fit(self) -> dict:
+        return self.content["fit"]
+
+    @property
+    def best(self) -> Hypothesis:
+        """The hypothesis behind the repaired simulator; the refitted null when nothing was named."""
+        return self.decision.chosen or self.null
+
+    @cached_property
+    def simulator(self):
+        """The repaired simulator as a discrete-time control.nlsys."""
+        return repaired_system(self.best, self.problem.train.sample_time)
+
+    def to_dict(self) -> dict:
+        """The content of report.json."""
+        return self.content
+
+    @property
+    def summary(self) -> str:
+        """One screen of text for a busy engineer."""
+        return summary_text(self.content)
+
+    def to_html(self, path) -> Path:
+        """Write a self-contained HTML page."""
+        from pwaid.mismatch.html import html_page
+
+        path = Path(path)
+        path.write_text(html_page(self), encoding="utf-8")
+        return path
+
+    def plot(self):
+        """A figure: recording against simulations, residuals, candidates."""
+        from pwaid.mismatch.pictures import overview
+
+        return overview(self)
+
+
+def _number(x) -> float | None:
+    x = float(x)
+    return x if math.isfinite(x) else None
+
+
+def _clean(item):
+    if isinstance(item, dict):
+        return {k: _clean(v) for k, v in item.items()}
+    if isinstance(item, list | tuple):
+        return [_clean(v) for v in item]
+    if isinstance(item, float | np.floating):
+        return _number(item)
+    if isinstance(item, np.integer):
+        return int(item)
+    if isinstance(item, np.bool_):
+        return bool(item)
+    return item
+
+
+def effect_entries(problem: Problem, h: Hypothesis, shares: Sequence[float]) -> list[dict]:
+    """The `effects` list of report.json for one hypothesis."""
+    low, high, _ = parameter_intervals(problem, h.fit)
+    entries, k = [], h.fit.model.np
+    for e, part in zip(h.located, shares, strict=True):
+        z = h.fit.theta[k:k + e.size]
+        ends = np.array([e.physical(low[k:k + e.size]), e.physical(high[k:k + e.size])]) if e.size else np.zeros((2, 0))
+        values = e.physical(z)
+        entries.append({
+            "id": e.effect.id,
+            "where": {"kind": e.place.kind, "signal": e.place.signal, "variables": list(e.place.variables),
+                      "note": e.place.note},
+            "law": e.effect.law,
+            "parameters": {q.name: {"value": values[i], "low": ends[:, i].min(), "high": ends[:, i].max(), "unit": u}
+                           for i, (q, u) in enumerate(zip(e.effect.quantities, e.units(), strict=True))},
+            "share_explained": part,
+        })
+        k += e.size
+    return entries
+
+
+def _shares(problem, h: Hypothesis, singles) -> list[float]:
+    if len(h.located) < 2:
+        return [h.share]
+    alone = {s.label: s.share for s in singles}
+    first = min(max(alone.get(h.located[0].label, 0.0), 0.0), h.share)
+    return [first, h.share - first]
+
+
+def _candidates(problem, hypotheses, passed, output_names):
+    rows = []
+    ok = {id(h) for h in passed}
+    for h in hypotheses:
+        rmse = np.sqrt(np.mean((problem.test.Y - h.test.Y) ** 2, axis=0))
+        rows.append({"id": " + ".join(h.ids), "family": " + ".join(h.families), "where": h.label,
+                     "heldout_rmse": dict(zip(output_names, map(float, rmse), strict=True)),
+                     "share_explained": h.share, "screen_score": h.score, "parameters": h.fit.model.size,
+                     "passed": id(h) in ok})
+    return sorted(rows, key=lambda r: -r["share_explained"])
+
+
+def build_report(problem: Problem, null, singles, pairs, screened, decision: Decision, location: Location, notes,
+                 tried: int, seconds: float) -> Report:
+    """Gather everything into the content of report.json."""
+    names = problem.plant.output_names
+    chosen = decision.chosen if decision.chosen is not None else null
+    effects = []
+    for h in decision.members:
+        effects += effect_entries(problem, h, _shares(problem, h, singles))
+    best = chosen
+    low, high, correlation = parameter_intervals(problem, best.fit)
+    warnings = [*notes, *_collinear(best, correlation)]
+    parameters = {}
+    for k, name in enumerate(problem.settings.free):
+        nominal = problem.plant.parameters[name]
+        ends = sorted((nominal * np.exp(low[k]), nominal * np.exp(high[k])))
+        parameters[name] = {"nominal": nominal, "refitted": nominal * np.exp(best.fit.theta[k]), "low": ends[0],
+                            "high": ends[1], "without_effect": nominal * np.exp(null.fit.theta[k])}
+    stages = {"nominal": problem.nominal_test.Y, "refitted": null.test.Y, "repaired": best.test.Y}
+    content = {
+        "schema": "pwaid.mismatch/1", "verdict": decision.verdict, "effects": effects,
+        "candidates": _candidates(problem, [*singles, *pairs], decision.passed, names),
+        "location": _location(location, best if decision.members else None),
+        "parameters": parameters,
+        "fit": fit_table(problem.test, names, stages),
+        "fit_train": fit_table(problem.train, names, {"nominal": problem.nominal.Y, "refitted": null.fit.Y,
+                                                      "repaired": best.fit.Y}),
+        "share_explained": best.share if decision.members else 0.0,
+        "noise_floor": dict(zip(names, map(float, problem.floor.level), strict=True)),
+        "noise_floor_source": problem.floor.source,
+        "next_experiment": next_experiment(problem, decision, singles),
+        "reasons": list(decision.reasons), "warnings": warnings,
+        "screen": [{"id": s.located.effect.id, "where": s.located.label, "score": s.score, "visible": s.visible}
+                   for s in screened],
+        "hypotheses_tried": tried, "seconds": seconds,
+    }
+    return Report(_clean(content), problem, null, decision, tuple(singles), tuple(pairs), location)
+
+
+def _location(location: Location, best) -> dict:
+    channel, variables = location.channel, location.variables
+    if best is not None and best.located:
+        channel = best.located[0].place.channel
+        variables = tuple(dict.fromkeys(v for e in best.located for v in e.place.variables))
+    return {"channel": channel, "variables": list(variables), "breakpoints": location.breakpoints,
+            "memory": location.memory or bool(best and any(e.effect.memory for e in best.located)),
+            "intervals_s": [list(i) for i in location.intervals_s], "bands_hz": [list(b) for b in location.bands_hz],
+            "unknown_input": location.channel, "unknown_input_variables": list(location.variables)}
+
+
+def _collinear(h: Hypothesis, correlation) -> list[str]:
+    names = list(h.fit.model.settings.free) + [f"{e.effect.id}.{q.name}" for e in h.located for q in e.effect.quantities]
+    notes = []
+    for i in range(len(names)):
+        for j in range(max(i + 1, h.fit.model.np), len(names)):
+            if abs(correlation[i, j]) > 0.95:
+                notes.append(f"{names[i]} and {names[j]} are collinear here: correlation {correlation[i, j]:.3f}")
+    return notes
+
+
+def write_report(report: Report, out: Path, simulator_source: str) -> None:
+    """Write report.json, report.html and repaired_simulator.py; all are made before any is written."""
+    rows = []
+    for e in report.effects:
+        for name, v in e["parameters"].items():
+            rows.append(f"{e['id']}.{name} = {v['value']:.6g} {v['unit']}  (90 %: {v['low']:.4g} to {v['high']:.4g})")
+    for name, v in report.content["parameters"].items():
+        rows.append(f"{name} = {v['refitted']:.6g}  (nominal {v['nominal']:.6g}; 90 %: {v['low']:.4g} to {v['high']:.4g})")
+    from pwaid.mismatch.html import html_page
+
+    files = {"report.json": json.dumps(report.content, indent=1, allow_nan=False),
+             "report.html": html_page(report),
+             "report.txt": report.summary,
+             "repaired_simulator.py": repaired_source(report.best, report.problem.train.sample_time, simulator_source,
+                                                      rows)}
+    out.mkdir(parents=True, exist_ok=True)
+    for name, text in files.items():
+        (out / name).write_text(text, encoding="utf-8")
+
+
+__all__ += ["effect_entries", "share"]
