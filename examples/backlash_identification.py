@@ -110,7 +110,8 @@ def draw(folder: Path, X: np.ndarray, T: np.ndarray, pwa: PWAMap) -> None:
     figure, axis = plt.subplots(figsize=(6, 3.5), layout="constrained")
     axis.plot(1e3 * X[::20, 0], T[::20], ".", ms=1, color="0.7", label="samples")
     for rate in (-2.0, 0.0, 2.0):
-        axis.plot(1e3 * theta, pwa(np.column_stack([theta, np.full_like(theta, rate)]), outside="affine"), label=f"ω_B = {rate:+.0f} rad/s")
+        torque = pwa(np.column_stack([theta, np.full_like(theta, rate)]), outside="affine")
+        axis.plot(1e3 * theta, torque, label=f"ω_B = {rate:+.0f} rad/s")
     axis.set(xlabel="θ_B [mrad]", ylabel="joint torque [N m]", title="Backlash: the learnt map")
     axis.legend(fontsize=8)
     figure.savefig(folder / "narx_backlash.png", dpi=90)

@@ -69,7 +69,8 @@ def main() -> None:
     t, current, cycles = DCMotor().periodic_test(size["cycles"], rng)
     two = np.tile(current, 2)  # the second period is free of the start
     models = {"PWA": PWAMap(mesh, path.best.values), "linear": PWAMap(mesh, problem.affine_values.copy())}
-    runs = {name: free_runner(m, DCMotor().dt).free_run(two, cycles[0, :1][:, None]) for name, m in models.items()}
+    start, dt = cycles[0, :1][:, None], DCMotor().dt
+    runs = {name: free_runner(m, dt).free_run(two, start) for name, m in models.items()}
     simulated = {name: run.outputs[len(t) :, 0] for name, run in runs.items()}
     for name, run in runs.items():
         print(f"{name}: free run {run}")

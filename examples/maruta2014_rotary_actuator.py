@@ -60,7 +60,7 @@ def compare(train, validation, quick):
     """Linear output-error and Hammerstein–Wiener models, orders searched on the validation data."""
     pair = [(r.inputs[:, 0], r.outputs[:, 0]) for r in (train, validation)]
     pair[1] = tuple(a[:20_000] for a in pair[1])  # enough to rank orders
-    options = {"n_b": range(1, 4), "n_f": range(1, 4), "n_k": range(0, 2)} if quick else {}
+    options = {"n_b": range(1, 4), "n_f": range(1, 4), "n_k": range(2)} if quick else {}
     evaluations = 12 if quick else 20
     return [search_orders(*pair, units=units, evaluations=evaluations, **options) for units in (0, 10)]
 
@@ -109,9 +109,11 @@ def main() -> None:
     print(f"output RMS {np.sqrt(np.mean(measured**2)):.3f} rad/s")
     print(f"PWA: RMSE {run.rmse(measured):.4f} rad/s, {explained:.1f} % explained")
     for name, model in (("linear output error", linear), ("Hammerstein–Wiener", hammerstein)):
-        print(f"{name}, orders {model.model.orders} of {len(model.tried)} tried: RMSE "
-              f"{rmse(measured, simulated[name]):.4f} rad/s, {explained_percent(measured, simulated[name]):.1f} %")  # fmt: skip
+        y = simulated[name]
+        print(f"{name}, orders {model.model.orders} of {len(model.tried)} tried: RMSE {rmse(measured, y):.4f} rad/s, "
+              f"{explained_percent(measured, y):.1f} %")  # fmt: skip
 
+    shares = {name: explained_percent(measured, y) for name, y in simulated.items()}
     t, cycle, responses = RotaryActuator().cyclic_test(size["cycles"], rng)
     periodic = np.tile(cycle, 3)  # the third period is free of the start
     settled = slice(2 * len(cycle), 3 * len(cycle))
@@ -122,11 +124,12 @@ def main() -> None:
         print(f"cyclic test, {size['cycles']} cycles: {name} RMSE to the mean response {rmse(mean, y):.4f} rad/s "
               f"(spread of the cycles {responses.std(axis=0).mean():.4f})")  # fmt: skip
     if arguments.save:
-        draw(arguments.save, path, largest, validation, run, simulated["Hammerstein–Wiener"], (t, cycle, responses, cyclic))
+        cyclic_test = (t, cycle, responses, cyclic)
+        draw(arguments.save, path, largest, validation, run, simulated["Hammerstein–Wiener"], cyclic_test)
     print("RESULT " + json.dumps({
         "explained_percent": round(explained, 3),
-        "hammerstein_wiener_explained_percent": round(explained_percent(measured, simulated["Hammerstein–Wiener"]), 3),
-        "linear_explained_percent": round(explained_percent(measured, simulated["linear output error"]), 3),
+        "hammerstein_wiener_explained_percent": round(shares["Hammerstein–Wiener"], 3),
+        "linear_explained_percent": round(shares["linear output error"], 3),
         "rmse_rad_s": round(run.rmse(measured), 5),
         "hammerstein_wiener_rmse_rad_s": round(rmse(measured, simulated["Hammerstein–Wiener"]), 5),
         "cyclic_rmse_rad_s": round(rmse(mean, cyclic["PWA"]), 5),

@@ -54,12 +54,14 @@ def search(train: Recording, choose: Recording, meshes) -> dict:
             print(f"  {n_points:4d} points, seed {seed}: {error}")
             continue
         fits = 100 * (1 - errors / choose.outputs[problem.lags.first :].std())
-        print(f"  {n_points:4d} points, seed {seed}: one-step model {path.best.simulate(choose).fit_percent(choose.outputs):.1f} %, "
+        ahead = path.best.simulate(choose).fit_percent(choose.outputs)
+        print(f"  {n_points:4d} points, seed {seed}: one-step model {ahead:.1f} %, "
               f"refined at falling λ {np.round(fits, 1).tolist()} %", flush=True)  # fmt: skip
         i = int(np.argmin(errors))
         if errors[i] < best["rmse"]:
             scale = free_run_scale(problem, start, train, horizon=HORIZON)
-            best = {"rmse": errors[i], "problem": problem, "refined": refined[i], "lam": RATIOS[i] * scale, "path": path}
+            best = {"rmse": errors[i], "problem": problem, "refined": refined[i], "lam": RATIOS[i] * scale,
+                    "path": path}  # fmt: skip
     return best
 
 

@@ -33,13 +33,13 @@ COMPLETE, DIVERGED, LEFT = 0, 1, 2
 
 Tables = namedtuple(
     "Tables",
-    "gradients offsets neighbors simplices slopes intercepts lower upper convex "
+    "gradients origins neighbors simplices slopes intercepts lower upper convex "
     "points facets centres radii behind project shift theta",
 )
 Tables.__doc__ = """What the kernels read: mesh tables (normalised coordinates), affine laws, facets, C and Θ.
 
-`slopes` (n_simplices, n_y, d) and `intercepts` (n_simplices, n_y) give the map in normalised coordinates
-z = `project` φ + `shift`; `theta` (n_y, size of φ) is Θ, with no columns when there is no linear part.
+`slopes` (n_simplices, n_y, d) and `intercepts` (n_simplices, n_y), the values at the last vertex, give the map in
+normalised coordinates z = `project` φ + `shift`; `theta` (n_y, size of φ) is Θ, with no columns when there is no linear part.
 """
 
 
@@ -57,10 +57,9 @@ def tables(mesh: SimplexMesh, values: np.ndarray, select: np.ndarray, theta: np.
     theta : ndarray, shape (n_y, size of φ)
         Θ.
     """
-    gradients, offsets = mesh._barycentric
+    gradients = mesh._barycentric[0]
     V = values[mesh.simplices]  # (n_simplices, d + 1, n_y)
     slopes = np.einsum("sjy,sjd->syd", V, gradients)
-    intercepts = np.einsum("sjy,sj->sy", V, offsets)
     s, j = mesh.boundary
     corners = np.stack([np.delete(mesh.simplices[i], k) for i, k in zip(s, j, strict=True)])
     facets = np.ascontiguousarray(mesh.normalised[corners])
@@ -70,8 +69,8 @@ def tables(mesh: SimplexMesh, values: np.ndarray, select: np.ndarray, theta: np.
     shift = -mesh.scaling.matrix @ mesh.scaling.offset
     linear = np.ascontiguousarray(theta if np.any(theta) else theta[:, :0])
     return Tables(
-        gradients, offsets, np.asarray(mesh.neighbors, np.int64), np.asarray(mesh.simplices, np.int64),
-        np.ascontiguousarray(slopes), np.ascontiguousarray(intercepts), *mesh._boxes, mesh.convex,
+        gradients, np.ascontiguousarray(mesh._origins), np.asarray(mesh.neighbors, np.int64), np.asarray(mesh.simplices, np.int64),
+        np.ascontiguousarray(slopes), np.ascontiguousarray(V[:, -1]), *mesh._boxes, mesh.convex,
         np.ascontiguousarray(mesh.normalised), facets, centres, radii, s.astype(np.int64), project, shift, linear,
     )  # fmt: skip
 
@@ -93,10 +92,8 @@ def _regressor(y, inputs, k, n_a, n_b, direct, phi):
 @numba.njit(cache=True)
 def _outside(t, z, weights, rule):
     """The simplex in force for a z outside the mesh; `weights`, and z under "clip", follow the rule."""
-    found = np.zeros(1, np.int64)
-    nearest._nearest_facet(t.facets, t.centres, t.radii, z.reshape(1, -1), found)
-    s = t.behind[found[0]]
-    walk.barycentric(t.gradients, t.offsets, s, z, weights)
+    s = t.behind[nearest.nearest_facet(t.facets, t.centres, t.radii, z)]
+    walk.barycentric(t.gradients, t.origins, s, z, weights)
     if rule == 1:
         weights[:] = np.maximum(weights, 0.0)
         weights /= weights.sum()
@@ -111,7 +108,7 @@ def _search(t, z, weights):
     """Look through every simplex, for meshes that are not convex and walks that rounding stopped."""
     simplex = np.full(1, -1)
     walk.locate_exhaustively(
-        t.gradients, t.offsets, t.lower, t.upper, z.reshape(1, -1), INSIDE_TOLERANCE, simplex, weights.reshape(1, -1)
+        t.gradients, t.origins, t.lower, t.upper, z.reshape(1, -1), INSIDE_TOLERANCE, simplex, weights.reshape(1, -1)
     )
     return simplex[0]
 
@@ -125,7 +122,7 @@ def _advance(t, y, inputs, k, lags, rule, s, phi, z, weights):
         z[i] = t.shift[i]
         for p in range(phi.shape[0]):
             z[i] += t.project[i, p] * phi[p]
-    found = walk.walk(t.gradients, t.offsets, t.neighbors, z, s, INSIDE_TOLERANCE, weights)
+    found = walk.walk(t.gradients, t.origins, t.neighbors, z, s, INSIDE_TOLERANCE, weights)
     if found < 0 and (not t.convex or found < -t.neighbors.shape[0]):
         found = _search(t, z, weights)
     outside = found < 0
@@ -136,7 +133,7 @@ def _advance(t, y, inputs, k, lags, rule, s, phi, z, weights):
     for c in range(y.shape[1]):
         value = t.intercepts[found, c]
         for i in range(d):
-            value += t.slopes[found, c, i] * z[i]
+            value += t.slopes[found, c, i] * (z[i] - t.origins[found, i])
         for p in range(t.theta.shape[1]):
             value += t.theta[c, p] * phi[p]
         y[k, c] = value

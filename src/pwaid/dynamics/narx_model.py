@@ -230,8 +230,8 @@ class NARXModel:
                 'larger mesh, or name a rule (outside="affine" or "clip")'
             )
         runs = [
-            FreeRun(y[b], self.first, int(n_outside[b]), int(end[b]) if state[b] == free_run.DIVERGED else None, outside)
-            for b in range(len(u))
+            FreeRun(y[b], self.first, int(n_outside[b]), int(stop) if state[b] == free_run.DIVERGED else None, outside)
+            for b, stop in enumerate(end)
         ]
         return runs if batch else runs[0]
 
@@ -247,5 +247,3 @@ class NARXModel:
         runs = [self.simulate(r, outside=outside) for r in recordings]
         measured = np.concatenate([r.outputs[self.first :].ravel() for r in recordings])
         return rmse(measured, np.concatenate([run.outputs[self.first :].ravel() for run in runs]))
-
-

@@ -17,9 +17,8 @@ def signal(n=3000, rng=0):
 
 def test_the_derivative_is_that_of_finite_differences():
     breaks = np.linspace(-2, 2, 4)
-    model = BlockModel(
-        np.array([0.4, 0.2]), np.array([-0.6, 0.1]), 1, 0.3, breaks, np.tanh(breaks), breaks - 0.1, breaks + 0.2 * breaks**2
-    )
+    linear = np.array([0.4, 0.2]), np.array([-0.6, 0.1]), 1, 0.3
+    model = BlockModel(*linear, breaks, np.tanh(breaks), breaks - 0.1, breaks + 0.2 * breaks**2)
     u, p = signal(200), model._pack()
     numeric = np.column_stack(
         [

@@ -143,7 +143,8 @@ def _least_squares_start(u, y, n_b, n_f, delay) -> BlockModel:
     theta = np.linalg.lstsq(np.column_stack(columns), yc[first:], rcond=None)[0]
     roots = np.roots(np.r_[1.0, theta[n_b:]])
     size = np.abs(roots)
-    roots = np.where(size >= 0.995, roots / np.maximum(size, 1e-12) * np.minimum(0.99, 1.0 / np.maximum(size, 1e-12)), roots)
+    inside = np.minimum(0.99, 1.0 / np.maximum(size, 1e-12))
+    roots = np.where(size >= 0.995, roots / np.maximum(size, 1e-12) * inside, roots)
     f = np.real(np.poly(roots))[1:]
     gain = theta[:n_b].sum() / (1.0 + f.sum())
     return BlockModel(theta[:n_b], f, delay, float(y.mean() - gain * u.mean()))
@@ -235,7 +236,7 @@ def search_orders(
     units: int = 0,
     n_b: Sequence[int] = range(1, 11),
     n_f: Sequence[int] = range(1, 11),
-    n_k: Sequence[int] = range(0, 10),
+    n_k: Sequence[int] = range(10),
     start: Sequence[int] = (2, 2, 0),
     washout: int = 50,
     evaluations: int = 40,
