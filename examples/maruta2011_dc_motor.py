@@ -76,7 +76,7 @@ def main() -> None:
         print(f"{name}: free run {run}")
     errors = {name: rmse(cycles, np.tile(y, len(cycles))) for name, y in simulated.items()}
     print(f"{len(cycles)} cycles: RMSE {errors['PWA']:.3f} rad/s (PWA), {errors['linear']:.3f} rad/s (linear); "
-          f"spread of the cycles about their mean {rmse(cycles, np.tile(cycles.mean(axis=0), len(cycles))):.3f}")  # fmt: skip
+          f"spread of the cycles about their mean {(cycles - cycles.mean(axis=0)).std():.3f}")  # fmt: skip
     if arguments.save:
         draw(arguments.save, mesh, levels, t, current, cycles, simulated)
     print("RESULT " + json.dumps({

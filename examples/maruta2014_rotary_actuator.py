@@ -89,7 +89,8 @@ def main() -> None:
     began = time.perf_counter()
     lambdas = largest * RATIOS["quick" if arguments.quick else "full"]
     path = problem.path(lambdas, validation, tol=1e-3)
-    print(f"mesh: {arguments.mesh}; path of {len(lambdas)} λ in {time.perf_counter() - began:.1f} s (free runs included)")
+    seconds = time.perf_counter() - began
+    print(f"mesh: {arguments.mesh}; path of {len(lambdas)} λ in {seconds:.1f} s (free runs included)")
     for lam, error, (s,) in zip(lambdas, path.free_run_rmse, path.solutions, strict=True):
         print(f"  λ/λmax {lam / largest:8.2e}  free-run RMSE {error:7.4f} rad/s  broken {s.n_broken:6d}  "
               f"gap {s.gap:.1e}  {s.seconds:5.1f} s")  # fmt: skip

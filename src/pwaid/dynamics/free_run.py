@@ -39,7 +39,8 @@ Tables = namedtuple(
 Tables.__doc__ = """What the kernels read: mesh tables (normalised coordinates), affine laws, facets, C and Θ.
 
 `slopes` (n_simplices, n_y, d) and `intercepts` (n_simplices, n_y), the values at the last vertex, give the map in
-normalised coordinates z = `project` φ + `shift`; `theta` (n_y, size of φ) is Θ, with no columns when there is no linear part.
+normalised coordinates z = `project` φ + `shift`; `theta` (n_y, size of φ) is Θ, with no columns when there is no
+linear part.
 """
 
 
@@ -69,7 +70,8 @@ def tables(mesh: SimplexMesh, values: np.ndarray, select: np.ndarray, theta: np.
     shift = -mesh.scaling.matrix @ mesh.scaling.offset
     linear = np.ascontiguousarray(theta if np.any(theta) else theta[:, :0])
     return Tables(
-        gradients, np.ascontiguousarray(mesh._origins), np.asarray(mesh.neighbors, np.int64), np.asarray(mesh.simplices, np.int64),
+        gradients, np.ascontiguousarray(mesh._origins),
+        np.asarray(mesh.neighbors, np.int64), np.asarray(mesh.simplices, np.int64),
         np.ascontiguousarray(slopes), np.ascontiguousarray(V[:, -1]), *mesh._boxes, mesh.convex,
         np.ascontiguousarray(mesh.normalised), facets, centres, radii, s.astype(np.int64), project, shift, linear,
     )  # fmt: skip
