@@ -102,7 +102,7 @@ def named_force(report):
             elif name == "quadratic_drag":
                 total += q["coefficient"] * v * np.abs(v)
             elif name == "constant_load":
-                total -= q["load"]
+                total -= q["level"]
         return total
 
     return force

@@ -144,7 +144,7 @@ def write_case(folder, simulator_source: str, train: Mapping[str, Recording], te
     first = next(iter(train.values()))
     for name, rec in {**train, **test}.items():
         header = ",".join(["t", *rec.input_names, *rec.output_names])
-        np.savetxt(folder / name, np.column_stack([rec.time, rec.inputs, rec.outputs]), fmt="%.10g", delimiter=",",
+        np.savetxt(folder / name, np.column_stack([rec.time, rec.inputs, rec.outputs]), fmt="%.9g", delimiter=",",
                    header=header, comments="")
     quote = lambda names: "[" + ", ".join(f'"{n}"' for n in names) + "]"  # noqa: E731
     lines = ['simulator = "simulator.py"', 'time = "t"', f"train = {quote(train)}", f"test = {quote(test)}",

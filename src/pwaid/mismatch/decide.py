@@ -127,10 +127,12 @@ def decide(problem: Problem, null: Hypothesis, singles: Sequence[Hypothesis], pa
         best = _prefer_smaller(problem, best, passed, t)
         pair = _better_pair(best, passed_pairs, floor, t)
         if pair is not None:
-            return _name(problem, pair, passed_pairs, t, rng, reasons, singles)
-        return _name(problem, best, passed, t, rng, reasons, singles)
+            pair = _prefer_smaller(problem, pair, passed_pairs, t)
+            return _name(problem, pair, passed_pairs, t, rng, reasons)
+        return _name(problem, best, passed, t, rng, reasons)
     if passed_pairs:
-        return _name(problem, passed_pairs[0], passed_pairs, t, rng, reasons, singles)
+        pair = _prefer_smaller(problem, passed_pairs[0], passed_pairs, t)
+        return _name(problem, pair, passed_pairs, t, rng, reasons)
     if quiet:
         return Decision(_agreement_or_parameters(problem, t), null, (), (), tuple(reasons))
     reasons.append("no effect removed enough of the held-out error")
@@ -201,15 +203,30 @@ def _better_pair(best, pairs, floor, t):
     return None
 
 
+def _inside(small: Hypothesis, large: Hypothesis) -> bool:
+    """Whether `small` is `large` with one law replaced by a law it contains, at the same places."""
+    if len(small.located) != len(large.located):
+        return False
+    left = list(large.located)
+    swapped = 0
+    for e in small.located:
+        same = next((f for f in left if f.effect.id == e.effect.id and f.place.signal == e.place.signal), None)
+        wider = next((f for f in left if e.effect.id in f.effect.contains and f.place.signal == e.place.signal), None)
+        if same is None and wider is None:
+            return False
+        left.remove(same if same is not None else wider)
+        swapped += same is None
+    return swapped > 0
+
+
 def _prefer_smaller(problem, best, passed, t):
     """A law inside the winner's law, at the same place, wins unless the larger one is material by itself."""
+    floor = floor_square(problem)
     while True:
-        smaller = [h for h in passed if h.ids[0] in best.located[0].effect.contains
-                   and h.located[0].place.signal == best.located[0].place.signal]
+        smaller = [h for h in passed if _inside(h, best)]
         if not smaller:
             return best
         inner = min(smaller, key=_score)
-        floor = floor_square(problem)
         gain_test = (inner.test_error - best.test_error) / max(inner.test_error - 0.9 * floor, 1e-12)
         gain_train = (inner.train_error - best.train_error) / max(inner.train_error - 0.9 * floor, 1e-12)
         if gain_test > t.nested_gain and gain_train > t.nested_gain and criterion(problem, best) < criterion(
@@ -218,17 +235,17 @@ def _prefer_smaller(problem, best, passed, t):
         best = inner
 
 
-def _name(problem, best, passed, t, rng, reasons, singles) -> Decision:
+def _name(problem, best, passed, t, rng, reasons) -> Decision:
     """One name, or the set of those the recordings cannot tell from it."""
     members = [best]
     for h in sorted(passed, key=_score):
-        if h is best or h.ids == best.ids or len(members) >= 3:
+        if h is best or sorted(h.ids) == sorted(best.ids) or len(members) >= 3:
             continue
-        nested = len(h.located) == 1 and len(best.located) == 1 and (
-            h.ids[0] in best.located[0].effect.contains or best.ids[0] in h.located[0].effect.contains)
-        if nested:
+        if _inside(h, best) or _inside(best, h):
             continue
-        ratio = (_score(h)) / max(_score(best), 1e-300)
+        if any(_inside(inner, h) and _score(inner) < t.rival * _score(h) for inner in passed):
+            continue  # a simpler law does as well as this rival: it is the one to compare with
+        ratio = _score(h) / max(_score(best), 1e-300)
         if ratio < t.rival or wins(problem, best, h, rng) < t.wins:
             members.append(h)
     if len(members) > 1:

@@ -4,11 +4,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from pwaid import _version
-
 __all__ = ["demo_case_path"]
 
 
 def demo_case_path() -> Path:
     """Folder of the packaged demo case: case.toml, simulator.py and recordings with a concealed effect."""
-    return Path(_version.__file__).parent / "data" / "demo_case"
+    return Path(__file__).parent / "demo_case"

@@ -112,7 +112,8 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
     pairs = []
     if singles and _worth_pairs(problem, null, singles):
         say(0.6, "fitting pairs")
-        pairs = fit_pairs(problem, singles, located, jobs)
+        cheap = len(data.U) * problem.settings.substeps < 5000
+        pairs = fit_pairs(problem, singles, located, jobs, width=4 if cheap else 2)
     say(0.85, "deciding")
     decision = decide(problem, null, singles, pairs, screened[0].score if screened else 0.0, thresholds)
     say(0.9, "locating")

@@ -95,8 +95,8 @@ def _window(problem: Problem, base: Fit, samples: int = 600) -> tuple[Dataset, n
                    np.array(rows, dtype=np.int64), data.sample_time), np.array(starts)
 
 
-def _fit_one(problem: Problem, base: Fit, candidate: Screened, iterations: int = 20) -> Fit:
-    """A few steps from each of the screen's best starts on the richest quarter, then all data from the best.
+def _trials(problem: Problem, base: Fit, candidate: Screened) -> list[Fit]:
+    """A few steps from each of the screen's best starts on the richest quarter of the data, best first.
 
     One start returns to the nominal parameters: the null may have bent them to absorb the effect.
     """
@@ -106,32 +106,67 @@ def _fit_one(problem: Problem, base: Fit, candidate: Screened, iterations: int =
     if not any(e.effect.family == "time" for e in model.located):
         data, X0 = _window(problem, base)
     before, n = base.theta, base.model.np
-    options = [np.concatenate([before, z]) for z in starts[:3]]
+    options = [np.concatenate([before, z]) for z in starts[:2 if candidate.located.size < 2 else 3]]
     options.append(np.concatenate([np.zeros(n), before[n:], starts[0]]))
     trials = [fit_model(model, data, problem.sigma, theta, X0, problem.ranges, 5, 1e-3) for theta in options]
-    trials.sort(key=lambda f: f.cost)
+    return sorted(trials, key=lambda f: f.cost)
+
+
+def _finish(problem: Problem, base: Fit, trials: Sequence[Fit], iterations: int = 20) -> Fit:
+    """All data from the best trial, and from the second where it is about as good."""
     ends = []
     for trial in trials[:2]:
-        if ends and trial.cost > 4 * trials[0].cost:
+        distinct = not ends or np.max(np.abs(trial.theta - trials[0].theta)) > 0.05
+        if ends and (trial.cost > 3 * trials[0].cost or not distinct):
             break
-        ends.append(fit_model(model, problem.train, problem.sigma, trial.theta, base.X0, problem.ranges, 6, 1e-3))
+        ends.append(fit_model(trial.model, problem.train, problem.sigma, trial.theta, base.X0, problem.ranges, 5, 1e-3))
     best = min(ends, key=lambda f: f.cost)
-    return fit_model(model, problem.train, problem.sigma, best.theta, best.X0, problem.ranges, iterations, 1e-4)
+    model = _resolved(problem, best)
+    return fit_model(model, problem.train, problem.sigma, best.theta, best.X0, problem.ranges, iterations, 3e-4)
+
+
+def _resolved(problem: Problem, fit: Fit, most: int = 16) -> Model:
+    """The model with as many substeps as make halving them invisible beside what is left to explain."""
+    model, Y = fit.model, fit.Y
+    if problem.plant.dt:
+        return model
+    left = np.sqrt(np.mean((problem.train.Y - Y) ** 2, axis=0))
+    allowed = np.maximum(0.1 * left, 0.1 * problem.floor.level)
+    while model.substeps < most:
+        finer = Model(problem.settings, model.located, 2 * model.substeps)
+        Yf, _ = finer.simulate(fit.theta, fit.X0, problem.train)
+        if np.all(np.sqrt(np.mean((Yf - Y) ** 2, axis=0)) < allowed):
+            break
+        model, Y = finer, Yf
+    return model
 
 
 def fit_shortlist(problem: Problem, candidates: Sequence[Screened], jobs: int = 1, base: Fit | None = None,
-                  tick=None) -> list[Hypothesis]:
-    """Fit every candidate on top of `base` (the null by default), best training error first."""
+                  keep: int = 5, tick=None) -> list[Hypothesis]:
+    """Try every candidate on top of `base` (the null by default), fit the `keep` best fully; best first.
+
+    Laws contained in one that is kept, and ties within a factor of two, are kept too.
+    """
     base = problem.null if base is None else base
 
-    def one(candidate):
-        fit = _fit_one(problem, base, candidate)
+    def attempt(candidate):
+        trials = _trials(problem, base, candidate)
         if tick:
             tick()
+        return trials
+
+    tried = sorted(zip(run_jobs(attempt, candidates, jobs), candidates, strict=True), key=lambda t: t[0][0].cost)
+    ids = {e for _, c in tried[:keep] for e in c.located.effect.contains}
+    limit = 2 * tried[0][0][0].cost if tried else 0.0
+    kept = [t for k, t in enumerate(tried) if k < keep and t[0][0].cost < 50 * tried[0][0][0].cost
+            or t[1].located.effect.id in ids or (t[0][0].cost < limit and k < 2 * keep)]
+
+    def finish(item):
+        trials, candidate = item
+        fit = _finish(problem, base, trials)
         return _hypothesis(problem, fit, candidate.score)
 
-    found = run_jobs(one, candidates, jobs)
-    return sorted(found, key=lambda h: h.train_error)
+    return sorted(run_jobs(finish, kept, jobs), key=lambda h: h.train_error)
 
 
 def _same_knob(a: Located, b: Located) -> bool:

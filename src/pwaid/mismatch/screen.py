@@ -94,7 +94,7 @@ def _probe_grid(located: Located, problem: Problem, residual) -> list[np.ndarray
     options = []
     for q in effect.quantities:
         values = q.probes
-        if effect.id == "position_ripple" and q.name == "wave_number":
+        if effect.id == "position_ripple" and q.name == "wavenumber":
             values = tuple(np.arange(1.5, 50.0, 1.2))
         elif effect.id == "periodic_disturbance" and q.name == "angular_frequency":
             values = tuple(w / located.scales[0] for w in _peaks(residual, problem.train, located))
@@ -192,7 +192,7 @@ def shortlist(screened: Sequence[Screened], top: int = 8, per_family: float = 0.
     seen: dict[tuple, int] = {}
     for s in alive:
         key = (s.located.effect.id, s.located.effect.law)
-        if len(chosen) < top and seen.get(key, 0) < 2:
+        if len(chosen) < top and seen.get(key, 0) < 2 and (s.score > 0.12 * best or len(chosen) < 3):
             chosen.append(s)
             seen[key] = seen.get(key, 0) + 1
     for s in alive:  # a law inside a chosen law is always fitted beside it

@@ -53,7 +53,7 @@ def gain_asymmetry(phase, t, h, x, xs, u, p, dx, ii, q):
 
 
 def load(phase, t, h, x, xs, u, p, dx, ii, q):
-    """F = load, constant."""
+    """F = level, constant."""
     push(phase, q[0], ii, u, p, dx)
 
 
@@ -91,8 +91,8 @@ EFFECTS = (
     Effect("actuator_gain_asymmetry", "actuator", "u_applied = u*(1 + asymmetry*sign(u))",
            (Quantity("asymmetry", "1", -0.9, 0.9, (0.05, 0.2), log=False),), gain_asymmetry, lambda s: s.inputs(),
            ("constant_load", "quadratic_stiffness"), "both signs of the command, two amplitudes"),
-    Effect("constant_load", "actuator", "F = load",
-           (Quantity("load", "force", -5.0, 5.0, (0.05, 0.2), log=False),), load, lambda s: s.loads(),
+    Effect("constant_load", "actuator", "F = level",
+           (Quantity("level", "force", -5.0, 5.0, (0.05, 0.2), log=False),), load, lambda s: s.loads(),
            ("actuator_gain_asymmetry", "sensor_offset"), "zero input, and the reversed mounting"),
     Effect("actuator_lag", "actuator", "time_constant * du_applied/dt = u - u_applied",
            (Quantity("time_constant", "time", 0.002, 3.0, (0.02, 0.08, 0.3)),), lag, lambda s: s.inputs(),

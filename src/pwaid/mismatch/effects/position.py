@@ -32,7 +32,7 @@ def gravity(phase, t, h, x, xs, u, p, dx, ii, q):
 
 
 def ripple(phase, t, h, x, xs, u, p, dx, ii, q):
-    """F = amplitude * sin(wave_number * x + phase)."""
+    """F = level * sin(wavenumber * x + phase)."""
     push(phase, -q[0] * sin(q[1] * x[ii[5]] + q[2]), ii, u, p, dx)
 
 
@@ -77,13 +77,13 @@ EFFECTS = (
             Quantity("phase", "1", -4.0, 4.0, (0.0, 1.571, 3.1416, -1.571), log=False)), gravity,
            lambda s: s.angles(), ("linear_stiffness", "position_ripple", "constant_load"),
            "one slow turn, stopping at several angles"),
-    Effect("position_ripple", "position", "F = amplitude * sin(wave_number*x + phase)",
-           (Quantity("amplitude", "force", 1e-3, 10.0, (0.15,)), Quantity("wave_number", "1/position", 1.0, 400.0, ()),
+    Effect("position_ripple", "position", "F = level * sin(wavenumber*x + phase)",
+           (Quantity("level", "force", 1e-3, 10.0, (0.15,)), Quantity("wavenumber", "1/position", 1.0, 400.0, ()),
             Quantity("phase", "1", -7.0, 7.0, (0.0, 1.571), log=False)), ripple, lambda s: s.positions(),
            ("periodic_disturbance", "gravity_torque"), "two constant speeds: the frequency follows the speed"),
-    Effect("end_stop", "position", "F = stiffness*(|x| - gap) beyond the gap, with damping while pressed",
+    Effect("end_stop", "position", "F = stiffness*(|x| - position) beyond it, with damping while pressed",
            (Quantity("stiffness", "force/position", 0.3, 3e4, (30.0, 400.0)),
-            Quantity("gap", "position_level", 0.05, 1.0, (0.5, 0.7, 0.85, 0.95), log=False),
+            Quantity("position", "position_level", 0.05, 1.0, (0.5, 0.7, 0.85, 0.95), log=False),
             Quantity("damping", "force/speed", 1e-4, 300.0, (0.3,))), end_stop,
            lambda s: s.positions(sides=True), ("cubic_stiffness", "sensor_saturation"), "reach and hold the stop"),
     Effect("hysteretic_spring", "hysteresis",
