@@ -16,10 +16,12 @@ True
 
 from pwaid._version import __version__
 from pwaid.delaunay import MeshQuality, Scaling, SimplexMesh
+from pwaid.dynamics import NARX, PWASystem
 from pwaid.errors import InputError, MissingExtraError, OutsideMeshError, PwaidError, SolverError
 from pwaid.estimator import PWARegressor
 from pwaid.lambda_max import lambda_max
 from pwaid.lerp import hinge_matrix, interpolation_matrix
+from pwaid.mismatch import explain
 from pwaid.noise_free import solve_noise_free
 from pwaid.path import cross_validate, solve_path
 from pwaid.problem import HingeProblem
@@ -30,6 +32,7 @@ from pwaid.solve import solve
 from pwaid.sqrt_loss import solve_sqrt
 
 __all__ = [
+    "NARX",
     "HingeProblem",
     "InputError",
     "MeshQuality",
@@ -37,6 +40,7 @@ __all__ = [
     "OutsideMeshError",
     "PWAMap",
     "PWARegressor",
+    "PWASystem",
     "Path",
     "PwaidError",
     "Recording",
@@ -47,6 +51,7 @@ __all__ = [
     "Status",
     "__version__",
     "cross_validate",
+    "explain",
     "hinge_matrix",
     "interpolation_matrix",
     "lambda_max",

@@ -2,6 +2,7 @@
 
 from pwaid.dynamics.cell import Cell
 from pwaid.dynamics.dry_friction import DryFriction
+from pwaid.dynamics.narx import NARX
 from pwaid.dynamics.phase_portrait import phase_portrait
 from pwaid.dynamics.pwa_convert import cells_of_hyperplanes, from_nlsys, to_nlsys
 from pwaid.dynamics.pwa_discrete import discretise
@@ -10,6 +11,7 @@ from pwaid.dynamics.pwa_simulation import PWAStatus, PWATrajectory
 from pwaid.dynamics.pwa_system import PWASystem
 
 __all__ = [
+    "NARX",
     "Cell",
     "DryFriction",
     "PWAStatus",
