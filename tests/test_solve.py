@@ -9,8 +9,7 @@ import pwaid
 from pwaid import HingeProblem, InputError, SimplexMesh, Status, lambda_max, solve
 from pwaid.admm import ADMMState, solve_admm
 from pwaid.lerp import WEIGHTINGS
-from pwaid.reference import SOLVERS
-from pwaid.solve import METHODS
+from pwaid.solve import METHODS, SOLVERS
 
 ITERATIVE = [m for m in METHODS if m not in SOLVERS]
 

@@ -14,6 +14,8 @@ From samples to a map, with the useful range of λ known in advance:
 True
 """
 
+from typing import Any
+
 from pwaid._version import __version__
 from pwaid.delaunay import MeshQuality, Scaling, SimplexMesh
 from pwaid.dynamics import NARX, PWASystem
@@ -21,7 +23,6 @@ from pwaid.errors import InputError, MissingExtraError, OutsideMeshError, PwaidE
 from pwaid.estimator import PWARegressor
 from pwaid.lambda_max import lambda_max
 from pwaid.lerp import hinge_matrix, interpolation_matrix
-from pwaid.mismatch import explain
 from pwaid.noise_free import solve_noise_free
 from pwaid.path import cross_validate, solve_path
 from pwaid.problem import HingeProblem
@@ -30,6 +31,16 @@ from pwaid.recording import Recording
 from pwaid.solution import Path, Solution, Status
 from pwaid.solve import solve
 from pwaid.sqrt_loss import solve_sqrt
+
+
+def __getattr__(name: str) -> Any:
+    """`pwaid.explain` and `pwaid.mismatch`, loaded when first used: they compile a simulation engine."""
+    if name in ("explain", "mismatch"):
+        import pwaid.mismatch as loaded
+
+        return loaded if name == "mismatch" else loaded.explain
+    raise AttributeError(f"module 'pwaid' has no attribute {name!r}")
+
 
 __all__ = [
     "NARX",

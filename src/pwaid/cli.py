@@ -17,7 +17,6 @@ from pathlib import Path
 import numpy as np
 from tqdm import tqdm
 
-from pwaid import mismatch
 from pwaid._version import __version__
 from pwaid.delaunay import SimplexMesh
 from pwaid.errors import InputError, PwaidError
@@ -113,6 +112,8 @@ class _Percent:
 
 
 def _explain(options: argparse.Namespace) -> int:
+    from pwaid import mismatch
+
     out = options.out or options.case / "explained"
     with _Percent() as progress:
         report = mismatch.explain_case(
@@ -124,6 +125,8 @@ def _explain(options: argparse.Namespace) -> int:
 
 
 def _effects(options: argparse.Namespace) -> int:
+    from pwaid import mismatch
+
     for row in mismatch.effects_table():
         print(f"{row['id']}  ({row['family']})")
         for key, value in row.items():
@@ -217,6 +220,8 @@ def _write_table(path: LambdaPath, target: Path) -> None:
 
 def _demo(options: argparse.Namespace) -> int:
     """A λ sweep on the pyramid of 2014 Example 1, then a concealed effect explained from packaged recordings."""
+    from pwaid import mismatch
+
     began = time.perf_counter()
     out = options.out or Path(tempfile.mkdtemp(prefix="pwaid-demo-"))
     _demo_sweep(out / "sweep")

@@ -12,11 +12,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import sparse
+from scipy.sparse import linalg as sparse_linalg
 
 from pwaid.admm import factorise
 from pwaid.errors import InputError, SolverError
 from pwaid.problem import HingeProblem
-from pwaid.reference import minimise_penalty
 
 __all__ = ["NoiseFreeSolution", "solve_noise_free"]
 
@@ -70,6 +70,8 @@ def solve_noise_free(problem: HingeProblem, *, tol: float = 1e-8) -> NoiseFreeSo
     """
     if problem.A is None:
         raise InputError("the noise-free problem needs A and y; this problem holds only their statistics")
+    from pwaid.reference import minimise_penalty  # cvxpy takes a second to load
+
     values, nu, status = minimise_penalty(problem, tol=tol)
     residual = float(np.abs(problem.A @ values - problem.y).max())
     size = float(np.sqrt(2.0 * problem.affine_loss / problem.n_samples))
@@ -109,10 +111,8 @@ def _repair(problem: HingeProblem, nu: np.ndarray) -> np.ndarray:
     small = 1e-10
     FtF = (F.T @ F + small * sparse.eye_array(n)).tocsc()
     K = sparse.block_array([[FtF, A.T], [A, -small * sparse.eye_array(m)]]).tocsc()
-    from scipy.sparse.linalg import splu
-
     rhs = np.concatenate([F.T @ nu, np.zeros(m)])
-    factor = splu(K)
+    factor = sparse_linalg.splu(K)
     x = factor.solve(rhs)
     exact = sparse.block_array([[F.T @ F, A.T], [A, None]]).tocsr()
     for _ in range(3):

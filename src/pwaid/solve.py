@@ -10,11 +10,11 @@ from pwaid.admm import ADMMState, solve_admm
 from pwaid.engine import solve_engine
 from pwaid.errors import InputError
 from pwaid.problem import HingeProblem
-from pwaid.reference import SOLVERS, solve_reference
 from pwaid.solution import Solution, Status
 
-__all__ = ["METHODS", "check_lambda", "solve"]
+__all__ = ["METHODS", "SOLVERS", "check_lambda", "solve"]
 
+SOLVERS = ("clarabel", "osqp")
 METHODS = ("auto", "engine", "admm", *SOLVERS)
 
 
@@ -78,6 +78,8 @@ def solve(
     if problem.is_affine:
         return _flat(problem, lam)
     if method in SOLVERS:
+        from pwaid.reference import solve_reference  # cvxpy takes a second to load
+
         return solve_reference(problem, lam, solver=method, tol=tol)
     limit = {} if max_iterations is None else {"max_iterations": int(max_iterations)}
     if method == "admm":
