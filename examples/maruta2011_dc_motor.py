@@ -109,7 +109,7 @@ def draw(folder, mesh, levels, t, current, cycles, simulated) -> None:
     figure.colorbar(surface, ax=axes[0], label="ω̇ [rad/s²]")
     axes[0, 0].set(ylabel="ω [rad/s]")
     axes[1, 0].set(ylabel="ω [rad/s]")
-    figure.savefig(folder / "narx_dc_motor_levels.png", dpi=80)
+    figure.savefig(folder / "narx_dc_motor_levels.png", dpi=60)
 
     figure, (above, below) = plt.subplots(2, 1, figsize=(7, 4.5), sharex=True, layout="constrained")
     above.step(t, current, where="post", color="k")
