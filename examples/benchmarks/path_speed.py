@@ -42,6 +42,8 @@ from pwaid.lambda_max import lambda_max
 from pwaid.lerp import interpolation_matrix
 
 TOL = 1e-4
+# Iterations of the engine over which the time of one is averaged.
+STEPS = 4
 # Tolerances to try for a rival, loosest first; the first whose judged gap is within the one asked for counts.
 LOOSENESS = (3.0, 1.0, 0.3, 0.1, 0.03)
 SECTIONS = ("pyramid", "tight", "lambda_max", "d3", "growth", "assembly", "picture")
@@ -178,11 +180,10 @@ def growth_section(quick):
         problem = datasets.pyramid(n)
         K, weights, lam = problem.normal_matrix, 1.0 / problem.row_norms**2, 1e-3 * np.abs(problem.c).max()
         factor = shortest(lambda K=K, w=weights: K.factorise(w), max(5, 30_000 // n))
-        steps = 4
         iteration = shortest(
-            lambda p=problem, lam=lam: solve_engine(p, lam, tol=1e-12, max_iterations=steps), max(3, 10_000 // n)
+            lambda p=problem, lam=lam: solve_engine(p, lam, tol=1e-12, max_iterations=STEPS), max(3, 10_000 // n)
         )
-        rows.append((problem.n_points, factor, iteration / steps, 8e-6 * (K.tree.n_stored + K.tree.stack_starts[1])))
+        rows.append((problem.n_points, factor, iteration / STEPS, 8e-6 * (K.tree.n_stored + K.tree.stack_starts[1])))
         say(f"growth: N̂ = {n}: factorisation {1e3 * factor:.2f} ms, iteration {1e3 * rows[-1][2]:.2f} ms, "
             f"L and stack {rows[-1][3]:.1f} MB")  # fmt: skip
     n, factor, iteration = (np.log([r[k] for r in rows]) for k in range(3))

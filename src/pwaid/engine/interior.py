@@ -47,9 +47,8 @@ LEAST_GAIN = 0.01
 TO_BOUNDARY = 0.99
 GOOD_STEP = 0.95
 LEAST_TARGET = 1e-6
-# Solves that make a dual point fulfil its equation: at most this many, or until the residual is rounding.
+# Solves that make a dual point fulfil its equation: at most this many.
 REFINEMENTS = 3
-NEGLIGIBLE = 1e-14
 # λ − |ν| stays above this fraction of λ, so that rounding never makes it 0.
 CLEARANCE = 1e-15
 # Diagonal shifts tried, as fractions of the diagonal, when rounding makes a factorisation break down.
@@ -81,11 +80,6 @@ class Operators:
     H: sparse.csr_matrix
     c: np.ndarray
     K: NormalMatrix
-
-    @property
-    def size(self) -> float:
-        """‖c‖₁."""
-        return float(np.abs(self.c).sum())
 
     @classmethod
     def of(cls, problem: HingeProblem) -> Operators:
@@ -204,14 +198,14 @@ def begin_direction(ops: Operators, s: InteriorState) -> Direction | None:
     return None
 
 
-def dual_point(ops: Operators, progress: Progress) -> tuple[np.ndarray, np.ndarray]:
-    """(v, ν) near the iterate with Hv + Fᵀν = c to rounding, by solves with the last factorisation."""
+def dual_point(ops: Operators, progress: Progress, negligible: float) -> tuple[np.ndarray, np.ndarray]:
+    """(v, ν) near the iterate with ‖c − Hv − Fᵀν‖₁ ≤ negligible if rounding allows, by the last factorisation."""
     v, nu = progress.state.v, progress.state.nu
     left = np.inf
     for _ in range(REFINEMENTS):
         residual = ops.c - ops.H @ v - ops.FT @ nu
         size = float(np.abs(residual).sum())
-        if size > 0.5 * left or size <= NEGLIGIBLE * ops.size:
+        if size > 0.5 * left or size <= negligible:
             break
         left = size
         delta = ops.K.solve(residual)

@@ -15,8 +15,9 @@ from pwaid.solution import Solution, Status
 
 __all__ = ["solve_engine"]
 
-# The iterate kept for the next λ is the first one with a gap below this: later ones lie too near the boundary.
-KEEP_AT = 0.1
+# The iterate kept for the next λ is the first one whose gap is this fraction of what the affine fit leaves: later
+# ones lie too near the boundary of the box, earlier ones too far from the solution.
+KEEP_AT = 0.3
 STEPS_WITHOUT_GAIN = 12
 # A state is of use for λ within this factor of its own; farther off a cold start is quicker.
 NEAR = 2.0
@@ -73,8 +74,8 @@ def solve_engine(
             break
         progress = advance(direction)
         state = progress.state
-        best.see(state.v, *dual_point(ops, progress))
-        if kept is None and best.gap <= KEEP_AT:
+        best.see(state.v, *dual_point(ops, progress, best.negligible(tol)))
+        if kept is None and best.remaining <= KEEP_AT:
             kept = state
         if best.gap <= tol:
             status = Status.SOLVED
@@ -129,11 +130,21 @@ class _Best:
         self.values, self.nu = self.affine, np.zeros(problem.n_hinges)
         self.dual_values = self.affine
         self.primal, self.dual = problem.objective(self.affine, lam), 0.0
-        self.steps_without_gain = 0
+        self.first, self.steps_without_gain = self.primal, 0
 
     @property
     def gap(self) -> float:
         return (self.primal - self.dual) / self.primal
+
+    @property
+    def remaining(self) -> float:
+        """The gap over that between the affine fit and the same bound."""
+        return (self.primal - self.dual) / max(self.first - self.dual, np.finfo(float).tiny)
+
+    def negligible(self, tol: float) -> float:
+        """A residual of the dual equation, in the 1-norm, that costs a hundredth of the tolerance at most."""
+        reach = max(np.sqrt(2.0 * self.problem.affine_loss), float(np.abs(self.values - self.affine).max()))
+        return 0.01 * tol * self.primal / reach
 
     def see(self, v: np.ndarray, dual_v: np.ndarray, nu: np.ndarray) -> None:
         before = self.gap
