@@ -270,7 +270,7 @@ def main() -> None:
     )
     parser.add_argument("--save", type=Path, help="directory for the figures")
     args = parser.parse_args()
-    study = Study(6, 2, 15) if args.quick else Study(100, 12, 80)
+    study = Study(4, 1, 10) if args.quick else Study(100, 12, 80)
     if args.quick:
         print(f"--quick: {study.monte_carlo} of 100 Monte Carlo runs, "
               f"{7 * study.robustness_runs} of 84 single runs, "
@@ -300,7 +300,11 @@ def main() -> None:
 
     zoh, seconds_zoh = restructured(black_boxes["zoh"], study)
     matched = restructure_path(
-        STRUCTURE, black_boxes["zoh"], match_static_gain=True, max_iterations=30, rng=0
+        STRUCTURE,
+        black_boxes["zoh"],
+        match_static_gain=True,
+        max_iterations=min(30, study.nonsmooth_iterations),
+        rng=0,
     )
     tustin, seconds_tustin = restructured(black_boxes["tustin"], study)
     relative = np.array([r.value for r in zoh]) / SIZES
@@ -323,7 +327,7 @@ def main() -> None:
             "predicted decrease left": [r.predicted_decrease for r in bundle]}, 6)
     print(f"restructuring seven points: ZOH {seconds_zoh:.2f} s, Tustin {seconds_tustin:.1f} s; "
           f"active peaks of the Tustin errors: {[len(r.norm.active(1e-3)) for r in tustin]}")
-    report = identifiability(zoh[0], restarts=3 if args.quick else 10, rng=0)
+    report = identifiability(zoh[0], restarts=1 if args.quick else 10, rng=0)
     print(f"identifiability at pi/8: condition {report.condition:.0f}, rank {report.rank} of 16, "
           f"largest restart spread {100 * max(report.spread.values()):.2f} %")
     for warning in report.warnings:

@@ -96,6 +96,15 @@ def test_all_pass_and_static_gain_and_zero():
     assert hinf_norm(([[-1.0]], [[0.0]], [[1.0]], [[0.0]])).value == 0.0
 
 
+def test_defective_poles_and_widely_spread_poles():
+    chain = -np.eye(6) + np.diag(np.ones(5), 1)  # 1 / (s + 1)^6, one eigenvector
+    first, last = np.eye(6)[:1], np.eye(6)[:, -1:]
+    norm = hinf_norm((chain, last, first, [[0.0]]))
+    assert norm.value == pytest.approx(1.0, rel=1e-9) and norm.frequency == 0.0
+    spread = (np.diag([-1e-6, -1e6]), np.ones((2, 1)), [[1e-6, 1e6]], [[0.0]])
+    assert hinf_norm(spread).value == pytest.approx(2.0, rel=1e-9)
+
+
 def test_an_exact_difference_is_zero_up_to_rounding():
     system = random_stable(8, 4)
     Q, _ = np.linalg.qr(np.random.default_rng(0).standard_normal((8, 8)))

@@ -221,7 +221,7 @@ class _Gain:
 
     def __call__(self, omega: np.ndarray, value: float, accuracy: float) -> np.ndarray:
         """Gains, accurate to about ``accuracy * value``."""
-        if self.noise > accuracy * value:
+        if np.isinf(self.noise) or self.noise > accuracy * value:
             return gains_at(self.m, omega)
         weights = np.zeros((omega.size, self.m.order), dtype=complex)
         finite = np.isfinite(omega)
