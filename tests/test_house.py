@@ -20,6 +20,7 @@ ORDER = [
     ["walk"],
     ["delaunay"],
     ["lerp"],
+    ["assembly"],
     ["dissection"],
     ["cholesky"],
     ["problem"],
