@@ -183,7 +183,7 @@ def _substep(rhs, e0, e1, e2, ne, nx, nt, ts, h, x, u, p, II, Q, xs, us, ps, bef
             for i in range(nx):  # the friction force acted during the whole substep
                 j = partner[i]
                 if j >= 0:
-                    x[i] += 0.5 * h * ratio[i] * (x[j] - w[j])
+                    x[i] = before[i] if before[j] == 0.0 and x[j] == 0.0 else x[i] + 0.5 * h * ratio[i] * (x[j] - w[j])
 
 
 @njit(

@@ -181,7 +181,9 @@ def make_repaired(nominal_update, nominal_output):
                 law(4, t, h, x, before, u, p, column.copy(), ii, q)
             for i in range(n):
                 if SPEED_OF[i] >= 0 and not DISCRETE:
-                    x[i] += 0.5 * h * SPEED_RATIO[i] * (x[SPEED_OF[i]] - free[SPEED_OF[i]])
+                    j = SPEED_OF[i]
+                    rest = before[j] == 0.0 and x[j] == 0.0
+                    x[i] = before[i] if rest else x[i] + 0.5 * h * SPEED_RATIO[i] * (x[j] - free[j])
         return x
 
     def update(t, x, u, params):

@@ -123,5 +123,6 @@ def _substep(stage, t, h, x, u, p, discrete, Ts, proximal, partner, ratio, slidi
             stage.kernels[e](4, t, h, x, before, u, p, columns[e].copy(), stage.II[e], stage.Q[e])
         for i in range(nx):
             if partner[i] >= 0 and not discrete:
-                x[i] += 0.5 * h * ratio[i] * (x[partner[i]] - free[partner[i]])
+                j = partner[i]
+                x[i] = before[i] if before[j] == 0.0 and x[j] == 0.0 else x[i] + 0.5 * h * ratio[i] * (x[j] - free[j])
     return x

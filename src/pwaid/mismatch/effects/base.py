@@ -77,6 +77,7 @@ def slide(phase, level, ii, h, x, xs, dx):
     impulse = (new - v) / g
     for k in range(dx.size):
         x[k] += dx[k] * impulse
+    x[i] = new  # exactly, so that rest is recognised as rest
 
 
 @dataclass(frozen=True)
