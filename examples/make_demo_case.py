@@ -1,6 +1,6 @@
 """Write the packaged case of `pwaid demo`: a rotary drive whose simulator knows nothing of dry friction.
 
-The truth is integrated with exact sticking at a step 40 times finer than the sampling; inertia and
+The truth is integrated with exact sticking at a step 200 times finer than the sampling; inertia and
 viscous friction of the simulator are off by 12 % and 20 %; the seed is fixed.
 
     python examples/make_demo_case.py DIR
@@ -39,7 +39,7 @@ def build():
 TRUTH = {"J": 0.020, "b": 0.060, "k": 0.9, "level": 0.12}
 
 
-def record(rng, name: str, samples: int = 1500, sample_time: float = 0.01, fine: int = 40) -> Recording:
+def record(rng, name: str, samples: int = 1500, sample_time: float = 0.01, fine: int = 200) -> Recording:
     """One recording: two-amplitude multisine torque, exact stick and slip, 0.5 mrad of sensor noise."""
     t = np.arange(samples) * sample_time
     f = rng.uniform(0.1, 2.5, 10)
@@ -54,6 +54,8 @@ def record(rng, name: str, samples: int = 1500, sample_time: float = 0.01, fine:
             if omega == 0.0 and abs(smooth) <= TRUTH["level"]:
                 continue
             sign = np.sign(omega) if omega != 0.0 else np.sign(smooth)
+            half = omega + 0.5 * h * (smooth - TRUTH["level"] * sign) / TRUTH["J"]
+            smooth = torque[i] - TRUTH["b"] * half - TRUTH["k"] * (theta + 0.5 * h * omega)
             new = omega + h * (smooth - TRUTH["level"] * sign) / TRUTH["J"]
             new = 0.0 if new * sign < 0.0 else new
             theta += 0.5 * h * (omega + new)

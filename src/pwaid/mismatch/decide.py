@@ -25,16 +25,18 @@ __all__ = ["Decision", "Thresholds", "decide", "errors_by_recording"]
 class Thresholds:
     """The numbers a verdict depends on."""
 
-    above_floor: float = 1.15  # error of the null, relative to a trusted floor, that counts as a mismatch
+    material: float = 1.3  # held-out mean square of the null, relative to the floor's, that counts as a mismatch
+    trifle: float = 2e-3  # of an output's standard deviation: an error below it is never a mismatch
+    small: float = 0.15  # of an output's standard deviation: a residual below it may be a mere disturbance ...
+    predicted: float = 0.15  # ... when past inputs predict less than this share of it
     share: float = 0.5  # of the explainable held-out error, with a trusted floor
     share_tentative: float = 0.4  # without one
     second_share: float = 0.35  # of what the single effect left
     nested_gain: float = 0.1  # error the larger of two nested laws must remove beyond the smaller
+    nested_share: float = 0.002  # ... and its share of the null's error
     rival: float = 1.15  # error ratio within which a rival of another law is not excluded
     wins: float = 0.8  # share of block bootstraps the winner must win
     moved: float = 0.02  # a parameter that moved by this share of its value counts as wrong
-    screen: float = 0.02  # screen score below which nothing explains anything
-    whiteness: float = 0.15  # lag-one correlation of the null's residual that counts as structure
 
 
 @dataclass(frozen=True)
@@ -103,12 +105,12 @@ def criterion(problem: Problem, h: Hypothesis) -> float:
 
 
 def decide(problem: Problem, null: Hypothesis, singles: Sequence[Hypothesis], pairs: Sequence[Hypothesis],
-           best_screen: float, thresholds: Thresholds | None = None, seed: int = 0) -> Decision:
+           thresholds: Thresholds | None = None, seed: int = 0) -> Decision:
     """The verdict.
 
     Parameters
     ----------
-    null : the refitted simulator. singles, pairs : fitted hypotheses. best_screen : highest screen score.
+    null : the refitted simulator. singles, pairs : fitted hypotheses.
     """
     t = thresholds or Thresholds()
     rng = np.random.default_rng(seed)
@@ -117,11 +119,10 @@ def decide(problem: Problem, null: Hypothesis, singles: Sequence[Hypothesis], pa
     share = t.share if problem.floor.trusted else t.share_tentative
     passed = [h for h in singles if _passes(problem, h, null, share)]
     passed = _judge(passed, reasons)
-    quiet = _quiet(problem, null, floor, t)
-    best = min(passed, key=lambda h: _score(h), default=None)
-    if best is not None and quiet and null.test_error < 1.05 * floor + 1e-12:
-        reasons.append("the refitted simulator is already at the noise floor")
-        best, passed = None, []
+    if _quiet(problem, t):
+        reasons.append("the refitted simulator is at the noise floor on the held-out recordings")
+        return Decision(_agreement_or_parameters(problem, t), null, (), (), tuple(reasons))
+    best = min(passed, key=_score, default=None)
     passed_pairs = _passing_pairs(problem, null, singles, pairs, share, t, reasons)
     if best is not None:
         best = _prefer_smaller(problem, best, passed, t)
@@ -133,7 +134,8 @@ def decide(problem: Problem, null: Hypothesis, singles: Sequence[Hypothesis], pa
     if passed_pairs:
         pair = _prefer_smaller(problem, passed_pairs[0], passed_pairs, t)
         return _name(problem, pair, passed_pairs, t, rng, reasons)
-    if quiet:
+    if _unrelated(problem, t):
+        reasons.append("what is left is small and past inputs do not predict it: a disturbance, not physics left out")
         return Decision(_agreement_or_parameters(problem, t), null, (), (), tuple(reasons))
     reasons.append("no effect removed enough of the held-out error")
     return Decision("unexplained", null, (), (), tuple(reasons))
@@ -164,13 +166,42 @@ def _judge(passed, reasons):
     return kept
 
 
-def _quiet(problem, null, floor, t) -> bool:
-    """Nothing above the noise: at a trusted floor, or white and at the estimated one."""
+def _quiet(problem, t) -> bool:
+    """Nothing material: every output's held-out error is at the floor, or a trifle of the output itself."""
+    mean = np.mean((problem.test.Y - problem.null_test.Y) ** 2, axis=0)
+    floor = np.maximum(problem.floor.level, t.trifle * np.std(problem.train.Y, axis=0)) ** 2
+    return bool(np.all(mean < t.material * floor))
+
+
+def _unrelated(problem, t) -> bool:
+    """A small residual that the inputs do not predict: a disturbance, not physics left out."""
     r = problem.test.Y - problem.null_test.Y
-    level = null.test_error / max(floor, 1e-300)
-    if problem.floor.trusted:
-        return level < t.above_floor
-    return level < 1.5 and lag_one(r) < t.whiteness
+    small = np.sqrt(np.mean(r**2, axis=0)) < t.small * np.std(problem.test.Y, axis=0)
+    return bool(np.all(small)) and predicted_by_input(problem) < t.predicted
+
+
+def predicted_by_input(problem, lags: int = 12) -> float:
+    """Largest held-out share of the null's residual that past inputs and their squares predict linearly."""
+    def regressors(data):
+        rows = []
+        for a, b in data.recordings:
+            U = data.U[a:b]
+            step = max(1, int(problem.structure.time_scale / data.sample_time / 3))
+            shifted = [np.vstack([np.repeat(U[:1], min(k * step, len(U)), axis=0), U[:max(len(U) - k * step, 0)]])
+                       for k in range(lags)]
+            V = np.hstack(shifted)
+            rows.append(np.hstack([V, V**2]))
+        return np.vstack(rows)
+
+    if not problem.train.U.shape[1]:
+        return 0.0
+    P, Q = regressors(problem.train), regressors(problem.test)
+    centre, scale = P.mean(0), P.std(0) + 1e-12
+    P, Q = (P - centre) / scale, (Q - centre) / scale
+    r, s = problem.train.Y - problem.null.Y, problem.test.Y - problem.null_test.Y
+    w = np.linalg.solve(P.T @ P + 1e-3 * len(P) * np.eye(P.shape[1]), P.T @ (r - r.mean(0)))
+    left = s - r.mean(0) - Q @ w
+    return float(np.max(1 - np.mean(left**2, axis=0) / np.maximum(np.mean((s - r.mean(0)) ** 2, axis=0), 1e-300)))
 
 
 def _passing_pairs(problem, null, singles, pairs, share, t, reasons):
@@ -229,8 +260,10 @@ def _prefer_smaller(problem, best, passed, t):
         inner = min(smaller, key=_score)
         gain_test = (inner.test_error - best.test_error) / max(inner.test_error - 0.9 * floor, 1e-12)
         gain_train = (inner.train_error - best.train_error) / max(inner.train_error - 0.9 * floor, 1e-12)
-        if gain_test > t.nested_gain and gain_train > t.nested_gain and criterion(problem, best) < criterion(
-                problem, inner) - 6:
+        whole = mean_square(problem, problem.null_test, problem.test)
+        visible = (inner.test_error - best.test_error) > t.nested_share * whole
+        if gain_test > t.nested_gain and gain_train > t.nested_gain and visible and criterion(
+                problem, best) < criterion(problem, inner) - 6:
             return best
         best = inner
 

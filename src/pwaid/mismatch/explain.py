@@ -15,7 +15,7 @@ import numpy as np
 from pwaid.errors import InputError
 from pwaid.mismatch.case import load_case
 from pwaid.mismatch.dataset import Dataset
-from pwaid.mismatch.decide import Thresholds, decide, lag_one
+from pwaid.mismatch.decide import Thresholds, decide
 from pwaid.mismatch.effects.registry import CATALOGUE, effect_by_id
 from pwaid.mismatch.hygiene import hygiene
 from pwaid.mismatch.hypotheses import fit_pairs, fit_shortlist, floor_square, null_hypothesis
@@ -115,7 +115,7 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
         cheap = len(data.U) * problem.settings.substeps < 5000
         pairs = fit_pairs(problem, singles, located, jobs, width=4 if cheap else 2)
     say(0.85, "deciding")
-    decision = decide(problem, null, singles, pairs, screened[0].score if screened else 0.0, thresholds)
+    decision = decide(problem, null, singles, pairs, thresholds)
     say(0.9, "locating")
     location = locate(problem)
     report = build_report(problem, null, singles, pairs, screened, decision, location, notes,
@@ -127,11 +127,9 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
 def _worth_pairs(problem, null, singles) -> bool:
     """Pairs are searched unless the best single law already reaches the floor, or there is nothing to explain."""
     floor = floor_square(problem)
-    residual = problem.test.Y - problem.null_test.Y
-    if null.test_error < 1.2 * floor and lag_one(residual) < 0.15:
+    if null.test_error < 1.25 * floor:
         return False
-    best = min(h.train_error for h in singles)
-    return best > 1.15 * floor
+    return min(h.train_error for h in singles) > max(1.2 * floor, 0.002 * null.train_error)
 
 
 def _check_sizes(plant, recordings):

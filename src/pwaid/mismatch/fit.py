@@ -51,11 +51,13 @@ def _weighted(Y, data, sigma):
 
 
 def _steps(model: Model, theta):
-    steps = np.full(model.size, 1e-4)
+    """Difference steps: wide enough to average over the kinks that events make."""
+    rough = any(e.effect.proximal or e.effect.id in ("end_stop", "backlash", "overflow") for e in model.located)
+    steps = np.full(model.size, 2e-3 if rough else 2e-4)
     k = model.np
     for e in model.located:
         for q in e.effect.quantities:
-            steps[k] = 1e-3 if q.log else 1e-3 * max(abs(theta[k]), 0.03)
+            steps[k] = (5e-3 if rough else 1e-3) * (1.0 if q.log else max(abs(theta[k]), 0.03))
             k += 1
     return steps
 
@@ -74,7 +76,7 @@ def jacobian(model: Model, theta, X0, data: Dataset, sigma, Y, ranges, want_stat
     S = np.zeros((n, X0.shape[1]))
     if want_states:
         for i in range(X0.shape[1]):
-            step = 1e-4 * max(ranges[i], 1e-9)
+            step = (1e-3 if any(e.effect.proximal for e in model.located) else 1e-4) * max(ranges[i], 1e-9)
             moved = X0.copy()
             moved[:, i] += step
             S[:, i] = np.clip((model.simulate(theta, moved, data)[0] - Y) / sigma, -1e9, 1e9).ravel() / step

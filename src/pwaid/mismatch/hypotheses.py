@@ -125,13 +125,13 @@ def _finish(problem: Problem, base: Fit, trials: Sequence[Fit], iterations: int 
     return fit_model(model, problem.train, problem.sigma, best.theta, best.X0, problem.ranges, iterations, 3e-4)
 
 
-def _resolved(problem: Problem, fit: Fit, most: int = 16) -> Model:
+def _resolved(problem: Problem, fit: Fit, most: int = 8) -> Model:
     """The model with as many substeps as make halving them invisible beside what is left to explain."""
     model, Y = fit.model, fit.Y
     if problem.plant.dt:
         return model
     left = np.sqrt(np.mean((problem.train.Y - Y) ** 2, axis=0))
-    allowed = np.maximum(0.1 * left, 0.1 * problem.floor.level)
+    allowed = np.maximum(0.15 * left, 0.3 * problem.floor.level)
     while model.substeps < most:
         finer = Model(problem.settings, model.located, 2 * model.substeps)
         Yf, _ = finer.simulate(fit.theta, fit.X0, problem.train)

@@ -110,8 +110,9 @@ class Model:
         plant = settings.plant
         self.nx = plant.sizes[0]
         self.substeps = substeps or max(
-            [settings.substeps] + [min(4, 4 * settings.substeps) for e in located if e.effect.id in
-                                   ("end_stop", "backlash", "presliding_friction", "overflow")])
+            [settings.substeps] + [max(4, settings.substeps) for e in located if e.effect.id in
+                                   ("end_stop", "backlash", "presliding_friction", "overflow")]
+            + [max(2, settings.substeps) for e in located if e.effect.proximal])
         self.positions = np.array([list(plant.parameters).index(n) for n in settings.free], dtype=int)
         self.np, self.nz = len(self.positions), sum(e.size for e in self.located)
         self.extra = sum(e.effect.extra_states for e in self.located)

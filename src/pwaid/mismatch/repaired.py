@@ -118,15 +118,17 @@ def make_repaired(nominal_update, nominal_output):
     def nominal(t, x, u, p):
         return np.asarray(nominal_update(t, x, u, dict(zip(names, p))), dtype=float).ravel()
 
-    def every(phase, t, step, x, xs, u, p, dx):
+    def every(phase, t, step, x, xs, u, p, dx):  # all laws in one phase
         for law, ii, q, *_ in MISSING_PHYSICS:
             law(phase, t, step, x, xs, u, p, dx, ii, q)
 
-    def rates(t, x, u, p):
+    def rates(t, h, x, u, p, columns):
         xs, us, ps, dx = x.copy(), u.copy(), p.copy(), np.zeros(x.size)
         every(1, t, h, x, xs, us, ps, dx)
         dx[:n] = nominal(t, xs[:n], us, ps)
         every(2, t, h, x, xs, us, ps, dx)
+        for (law, ii, q, *_), column in columns:
+            law(5, t, h, x, column, us, ps, dx, ii, q)
         return dx
 
     def mobility(t, x, u, p, ii):
@@ -139,23 +141,49 @@ def make_repaired(nominal_update, nominal_output):
             column[ii[2]] = 1.0 / p[ii[3]] if ii[3] >= 0 else 1.0
         return column
 
+    dry_laws = [e for e in MISSING_PHYSICS if e[3]]
+
+    def event(a, b):
+        """A reversal, a stop or a release of something with dry friction."""
+        pairs = [(a[e[1][4]], b[e[1][4]]) for e in dry_laws]
+        return any(v * w <= 0.0 and (v != 0.0 or w != 0.0) for v, w in pairs)
+
     def substep(t, x, u, p):
+        """One substep, repeated in eight pieces when dry friction meets an event inside it."""
+        if DISCRETE or not dry_laws:
+            return advance(t, h, x.copy(), u, p, False)
+        end = advance(t, h, x.copy(), u, p, all(x[e[1][4]] != 0.0 for e in dry_laws))
+        if not event(x, end):
+            return end
+        for piece in range(8):
+            sliding = all(x[e[1][4]] != 0.0 for e in dry_laws)
+            end = advance(t + piece * h / 8, h / 8, x.copy(), u, p, sliding)
+            if sliding and event(x, end):
+                end = advance(t + piece * h / 8, h / 8, x.copy(), u, p, False)
+            x = end
+        return x
+
+    def advance(t, h, x, u, p, sliding):
+        columns = [(e, mobility(t, x, u, p, e[1])) for e in dry_laws]
         every(0, t, h, x, x.copy(), u, p, np.zeros(x.size))
         before = x.copy()
-        k1 = rates(t, x, u, p)
+        resist = columns if sliding else []
+        k1 = rates(t, h, x, u, p, resist)
         if DISCRETE:
             x = np.concatenate([k1[:n], x[n:] + SAMPLE_TIME * k1[n:]])
         else:
-            k2 = rates(t + h / 2, x + h / 2 * k1, u, p)
-            k3 = rates(t + h / 2, x + h / 2 * k2, u, p)
-            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + rates(t + h, x + h * k3, u, p))
-        free = x.copy()
-        for law, ii, q, dry, *_ in MISSING_PHYSICS:
-            if dry:
-                law(4, t, h, x, before, u, p, mobility(t, before, u, p, ii), ii, q)
-        for i in range(n):
-            if SPEED_OF[i] >= 0 and not DISCRETE:
-                x[i] += 0.5 * h * SPEED_RATIO[i] * (x[SPEED_OF[i]] - free[SPEED_OF[i]])
+            k2 = rates(t + h / 2, h, x + h / 2 * k1, u, p, resist)
+            k3 = rates(t + h / 2, h, x + h / 2 * k2, u, p, resist)
+            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + rates(t + h, h, x + h * k3, u, p, resist))
+        if not sliding:
+            free = x.copy()
+            for (law, ii, q, *_), column in columns:
+                law(4, t, h, x, before, u, p, column.copy(), ii, q)
+            for i in range(n):
+                if SPEED_OF[i] >= 0 and not DISCRETE:
+                    j = SPEED_OF[i]
+                    rest = before[j] == 0.0 and x[j] == 0.0
+                    x[i] = before[i] if rest else x[i] + 0.5 * h * SPEED_RATIO[i] * (x[j] - free[j])
         return x
 
     def update(t, x, u, params):

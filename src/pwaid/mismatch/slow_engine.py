@@ -28,6 +28,7 @@ class _Stage:
 
     def __init__(self, plant, kernels, ne, nx, II, Q):
         self.plant, self.kernels, self.ne, self.nx, self.II, self.Q = plant, kernels, ne, nx, II, Q
+        self.sliding: dict = {}
 
     def effects(self, phase, t, h, x, xs, u, p, dx):
         for e in range(self.ne):
@@ -38,6 +39,8 @@ class _Stage:
         self.effects(1, t, h, x, xs, us, ps, dx)
         dx[:self.nx] = self.plant.derivative(xs[:self.nx], us, ps, t)
         self.effects(2, t, h, x, xs, us, ps, dx)
+        for e, column in self.sliding.items():
+            self.kernels[e](5, t, h, x, column, us, ps, dx, self.II[e], self.Q[e])
         return dx
 
     def mobility(self, t, x, u, p, ii):
@@ -70,18 +73,43 @@ def simulate_segments_slowly(plant, out, e0, e1, e2, ne, nx, X0, segments, U, de
             if not alive:
                 continue
             for s in range(S):
-                x = _substep(stage, t + s * h, h, x, _held(U, begin, end, k, s, S, delay, Ts, hold), p, discrete, Ts,
-                             proximal, partner, ratio)
+                u = _held(U, begin, end, k, s, S, delay, Ts, hold)
+                x = _advance(stage, t + s * h, h, x, u, p, discrete, Ts, proximal, partner, ratio)
                 if not np.all(np.abs(x) <= limit):
                     alive, x, failed = False, np.zeros_like(x), failed + 1
                     break
     return failed
 
 
-def _substep(stage, t, h, x, u, p, discrete, Ts, proximal, partner, ratio):
+def _advance(stage, t, h, x, u, p, discrete, Ts, proximal, partner, ratio):
+    """One substep; with dry friction an event inside it is found and stepped over in eight pieces."""
+    dry = [stage.II[e, 4] for e in range(stage.ne) if proximal[e]]
+    rest = (p, discrete, Ts, proximal, partner, ratio)
+    if not dry or discrete:
+        return _substep(stage, t, h, x.copy(), u, *rest, False)
+
+    def event(a, b):
+        return any(a[i] * b[i] <= 0.0 and (a[i] != 0.0 or b[i] != 0.0) for i in dry)
+
+    end = _substep(stage, t, h, x.copy(), u, *rest, all(x[i] != 0.0 for i in dry))
+    if not event(x, end):
+        return end
+    for piece in range(8):
+        sliding = all(x[i] != 0.0 for i in dry)
+        end = _substep(stage, t + piece * h / 8, h / 8, x.copy(), u, *rest, sliding)
+        if sliding and event(x, end):
+            end = _substep(stage, t + piece * h / 8, h / 8, x.copy(), u, *rest, False)
+        x = end
+    return x
+
+
+def _substep(stage, t, h, x, u, p, discrete, Ts, proximal, partner, ratio, sliding):
     nx = stage.nx
+    dry = [e for e in range(stage.ne) if proximal[e]]
+    columns = {e: stage.mobility(t, x, u, p, stage.II[e]) for e in dry}
     stage.effects(0, t, h, x, x.copy(), u, p, np.zeros(x.size))
     before = x.copy()
+    stage.sliding = columns if sliding else {}
     k1 = stage(t, h, x, u, p)
     if discrete:
         x = np.concatenate([k1[:nx], x[nx:] + Ts * k1[nx:]])
@@ -89,14 +117,12 @@ def _substep(stage, t, h, x, u, p, discrete, Ts, proximal, partner, ratio):
         k2 = stage(t + h / 2, h, x + h / 2 * k1, u, p)
         k3 = stage(t + h / 2, h, x + h / 2 * k2, u, p)
         x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + stage(t + h, h, x + h * k3, u, p))
-    if np.any(proximal[:stage.ne]):
+    if dry and not sliding:
         free = x.copy()
-        for e in range(stage.ne):
-            if proximal[e]:
-                column = stage.mobility(t, before, u, p, stage.II[e])
-                stage.kernels[e](4, t, h, x, before, u, p, column, stage.II[e], stage.Q[e])
-        if not discrete:
-            for i in range(nx):
-                if partner[i] >= 0:
-                    x[i] += 0.5 * h * ratio[i] * (x[partner[i]] - free[partner[i]])
+        for e in dry:
+            stage.kernels[e](4, t, h, x, before, u, p, columns[e].copy(), stage.II[e], stage.Q[e])
+        for i in range(nx):
+            if partner[i] >= 0 and not discrete:
+                j = partner[i]
+                x[i] = before[i] if before[j] == 0.0 and x[j] == 0.0 else x[i] + 0.5 * h * ratio[i] * (x[j] - free[j])
     return x

@@ -54,18 +54,30 @@ def push(phase, force, ii, u, p, dx):
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def slide(level, ii, h, x, mobility):
-    """Dry friction of the given level as a proximal step on the velocity x[ii[4]]."""
+def slide(phase, level, ii, h, x, xs, dx):
+    """Dry friction of the given level on the velocity x[ii[4]].
+
+    Phase 5, sliding: a force of fixed size against the motion, added to dx; xs holds the mobility column.
+    Phase 4, near rest: a proximal step on the velocity, which sticks exactly; dx holds the mobility column.
+    """
     i = ii[4]
-    g = mobility[i]
+    v = x[i]
+    if phase == 5:
+        g = xs[i]
+        if g != 0.0 and v != 0.0:
+            s = level if (v > 0.0) == (g > 0.0) else -level
+            for k in range(xs.size):
+                dx[k] -= s * xs[k]
+        return
+    g = dx[i]
     if g == 0.0:
         return
     reach = h * abs(g) * max(level, 0.0)
-    v = x[i]
     new = v - reach if v > reach else (v + reach if v < -reach else 0.0)
     impulse = (new - v) / g
-    for k in range(mobility.size):
-        x[k] += mobility[k] * impulse
+    for k in range(dx.size):
+        x[k] += dx[k] * impulse
+    x[i] = new  # exactly, so that rest is recognised as rest
 
 
 @dataclass(frozen=True)

@@ -13,21 +13,21 @@ _PROBES = (0.04, 0.15, 0.4)
 
 def coulomb(phase, t, h, x, xs, u, p, dx, ii, q):
     """F = level * sign(v), exact at rest."""
-    if phase == 4:
-        slide(q[0], ii, h, x, dx)
+    if phase >= 4:
+        slide(phase, q[0], ii, h, x, xs, dx)
 
 
 def asymmetric(phase, t, h, x, xs, u, p, dx, ii, q):
     """F = level_positive for v > 0, -level_negative for v < 0."""
-    if phase == 4:
-        slide(q[0] if x[ii[4]] > 0.0 else q[1], ii, h, x, dx)
+    if phase >= 4:
+        slide(phase, q[0] if x[ii[4]] > 0.0 else q[1], ii, h, x, xs, dx)
 
 
 def stribeck(phase, t, h, x, xs, u, p, dx, ii, q):
     """F = (level + (static_level - level) * exp(-(v/stribeck_speed)^2)) * sign(v); q[1] is the excess."""
-    if phase == 4:
-        r = xs[ii[4]] / q[2]
-        slide(q[0] + q[1] * exp(-r * r), ii, h, x, dx)
+    if phase >= 4:
+        r = (xs[ii[4]] if phase == 4 else x[ii[4]]) / q[2]
+        slide(phase, q[0] + q[1] * exp(-r * r), ii, h, x, xs, dx)
 
 
 def presliding(phase, t, h, x, xs, u, p, dx, ii, q):
@@ -49,8 +49,8 @@ def presliding(phase, t, h, x, xs, u, p, dx, ii, q):
 
 def load_dependent(phase, t, h, x, xs, u, p, dx, ii, q):
     """F = (level + load_factor * |input|) * sign(v)."""
-    if phase == 4:
-        slide(q[0] + q[1] * abs(u[ii[8]]), ii, h, x, dx)
+    if phase >= 4:
+        slide(phase, q[0] + q[1] * abs(u[ii[8]]), ii, h, x, xs, dx)
 
 
 EFFECTS = (

@@ -1,0 +1,79 @@
+"""The compiled loop against exact solutions and against the plain loop."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from tests_support import oscillator, record
+from scipy.linalg import expm
+
+from pwaid.mismatch.dataset import Dataset
+from pwaid.mismatch.effects.registry import CATALOGUE
+from pwaid.mismatch.model import Model, Settings
+from pwaid.mismatch.plant import as_plant
+from pwaid.mismatch.screen import locate_effects
+from pwaid.mismatch.structure import find_structure
+
+DATA = Dataset.from_recordings([record(1, samples=200)])
+PLANT = as_plant(oscillator())
+
+
+def structure(plant=PLANT, data=DATA):
+    rng = np.random.default_rng(0)
+    return find_structure(plant, rng.normal(size=(64, 2)), data.U, data.Y, ["N"], ["m"], data.sample_time, 4.0,
+                          ("m", "b", "k"))
+
+
+def settings(plant=PLANT):
+    s = structure()
+    return Settings(plant, s.partner, s.ratio, ("m", "b", "k"), np.full(3, 0.3), 2)
+
+
+def test_linear_plant_matches_the_matrix_exponential():
+    Y, _ = Model(settings(), (), 8).simulate(np.zeros(3), np.zeros((1, 2)), DATA)
+    m, b, k = 1.1, 0.5, 3.2
+    M = expm(np.array([[0, 1, 0], [-k / m, -b / m, 1 / m], [0, 0, 0]]) * DATA.sample_time)
+    x, want = np.zeros(2), []
+    for u in DATA.U[:, 0]:
+        want.append(x[0])
+        x = M[:2, :2] @ x + M[:2, 2] * u
+    np.testing.assert_allclose(Y[:, 0], want, atol=1e-8)
+
+
+@pytest.mark.parametrize("name", ["coulomb_friction", "stribeck_friction", "presliding_friction", "actuator_lag",
+                                  "input_play", "end_stop", "compliance", "sensor_lag", "actuator_rate_limit"])
+def test_compiled_loop_equals_plain_loop(name):
+    located = next(e for e in locate_effects(CATALOGUE, structure()) if e.effect.id == name)
+    z = located.internal([q.probes[0] for q in located.effect.quantities])
+    theta = np.concatenate([np.zeros(3), z])
+    fast = Model(settings(), (located,)).simulate(theta, np.zeros((1, 2)), DATA)[0]
+    slow_plant = replace(PLANT, rhs=None, out=None)
+    slow = Model(replace(settings(), plant=slow_plant), (located,)).simulate(theta, np.zeros((1, 2)), DATA)[0]
+    np.testing.assert_allclose(fast, slow, rtol=1e-7, atol=1e-10)
+
+
+def test_friction_above_the_force_sticks_exactly():
+    located = next(e for e in locate_effects(CATALOGUE, structure()) if e.effect.id == "coulomb_friction")
+    level = 1.5 * np.max(np.abs(DATA.U))
+    theta = np.concatenate([np.zeros(3), located.from_physical([level])])
+    Y, _ = Model(settings(), (located,)).simulate(theta, np.zeros((1, 2)), DATA)
+    assert np.all(Y == 0.0)
+
+
+def test_every_effect_vanishes_towards_its_neutral_value():
+    """A law a millionth of its size changes the outputs by next to nothing: injection adds nothing of its own."""
+    base = Model(settings(), ()).simulate(np.zeros(3), np.zeros((1, 2)), DATA)[0]
+    skip = ("sensor_rectification", "actuator_saturation", "actuator_rate_limit", "end_stop", "overflow",
+            "sensor_saturation")  # their neutral value is at the far end
+    for located in locate_effects(CATALOGUE, structure()):
+        if located.effect.id in skip or not located.effect.quantities:
+            continue
+        multiples = [q.probes[0] if q.probes else 1.0 for q in located.effect.quantities]
+        multiples[0] *= 1e-6
+        if located.effect.id == "periodic_disturbance":
+            multiples = [1.0, 1e-6, 0.0]
+        theta = np.concatenate([np.zeros(3), located.internal(multiples)])
+        Y, _ = Model(settings(), (located,)).simulate(theta, np.zeros((1, 2)), DATA)
+        assert np.max(np.abs(Y - base)) < 5e-3 * np.max(np.abs(base)), located.label
