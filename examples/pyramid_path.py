@@ -53,11 +53,11 @@ def figure(path, folder):
         plotting.plot_surface(solution.map, surface)
         surface.set_title(rf"$\lambda$ = {solution.lam / path.lambda_max:.2g} $\lambda^{{\max}}$")
         surface.set_zlim(-0.2, 1.1)
-    fig.savefig(folder / "pyramid_path.png", dpi=110)
+    fig.savefig(folder / "pyramid_path.png", dpi=75)
     fig, axes = plotting.new_figure(1, 2, (11, 4.4))
     plotting.plot_map(path.best.map, axes[0])
     plotting.plot_shading(path.best.map, axes[1])
-    fig.savefig(folder / "pyramid_map.png", dpi=110)
+    fig.savefig(folder / "pyramid_map.png", dpi=60)
 
 
 def main():

@@ -43,7 +43,11 @@ def run(name: str) -> dict:
     if missing and (not root or not Path(root, missing).exists()):
         pytest.skip(f"{Path(root or 'PWAID_DATA', missing)} is missing; set PWAID_DATA to the folder of recordings")
     process = subprocess.run(
-        [sys.executable, str(EXAMPLES / f"{name}.py"), "--quick"], capture_output=True, text=True, timeout=570, check=False
+        [sys.executable, str(EXAMPLES / f"{name}.py"), "--quick"],
+        capture_output=True,
+        text=True,
+        timeout=570,
+        check=False,
     )
     assert process.returncode == 0, process.stderr[-2000:]
     last = process.stdout.strip().splitlines()[-1]

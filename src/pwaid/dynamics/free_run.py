@@ -115,7 +115,7 @@ def _search(t, z, weights):
     return simplex[0]
 
 
-@numba.njit(cache=True)
+@numba.njit(cache=True, inline="always")
 def _advance(t, y, inputs, k, lags, rule, s, phi, z, weights):
     """One step: writes y[k]; returns the simplex used and whether C φ was outside the mesh."""
     d = z.shape[0]
