@@ -9,30 +9,31 @@ w = λ D. With the scaled multiplier u,
     z ← S_{w/ρ}(Gv + u)                     (the paper's line 5 has a ρ too many)
     u ← u + Gv − z
 
-over-relaxed by α = 1.7. One sparse factorisation serves until ρ changes; ρ follows λ along a path and is balanced
-between primal and dual residual at a few iterations that double in distance. The iterate returned is v: the
-multiplier ν = D⁻¹ρ(Gv − z + u) of the update just solved fulfils Aᵀ(y − Av) = Fᵀν, which certifies it.
+over-relaxed by α = 1.7. One sparse factorisation (`problem.normal_matrix`) serves until ρ changes; ρ follows λ along
+a path and is balanced between primal and dual residual at a few iterations that double in distance. The iterate
+returned is v: the multiplier ν = D⁻¹ρ(Gv − z + u) of the update just solved fulfils Aᵀ(y − Av) = Fᵀν, which certifies
+it.
 """
 
 from __future__ import annotations
 
 import time
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy import sparse
-from scipy.sparse import linalg as sparse_linalg
 
-from pwaid.errors import InputError
+from pwaid.errors import InputError, SolverError
 from pwaid.problem import HingeProblem
 from pwaid.solution import Solution, Status
 
-__all__ = ["ADMMState", "factorise", "solve_admm"]
+__all__ = ["ADMMState", "solve_admm"]
 
 RELAXATION = 1.7
 CHECK_EVERY = 10
 FIRST_BALANCE = 20
+# Diagonal shifts tried, as fractions of the diagonal, when rounding makes a factorisation break down.
+SHIFTS = (0.0, 1e-14, 1e-12)
 # ρ is left alone while the residuals differ by less than this factor: each change costs a factorisation.
 BALANCED = 1.5
 
@@ -50,35 +51,25 @@ class ADMMState:
     lam: float
 
 
-def factorise(K: sparse.spmatrix) -> Any:
-    """Sparse factorisation of a symmetric positive definite matrix (SuperLU in symmetric mode)."""
-    return sparse_linalg.splu(
-        sparse.csc_matrix(K),
-        permc_spec="MMD_AT_PLUS_A",
-        diag_pivot_thresh=0.0,
-        options={"SymmetricMode": True},
-    )
-
-
-@dataclass
+@dataclass(frozen=True, eq=False)
 class _Operators:
-    """The row-scaled hinge matrix and the factorised update."""
+    """The row-scaled hinge matrix G, and the matrix of the update, which is factorised for each ρ."""
 
     problem: HingeProblem
     scale: np.ndarray
     G: sparse.csr_matrix
     GT: sparse.csr_matrix
-    GtG: sparse.csc_matrix
-    factor: Any = None
 
     @classmethod
     def of(cls, problem: HingeProblem) -> _Operators:
         scale = np.sqrt(problem.row_norms)
         G = (sparse.diags_array(1.0 / scale) @ problem.F).tocsr()
-        return cls(problem, scale, G, G.T.tocsr(), (G.T @ G).tocsc())
+        return cls(problem, scale, G, G.T.tocsr())
 
     def set_rho(self, rho: float) -> None:
-        self.factor = factorise(self.problem.H + rho * self.GtG)
+        weights = rho / self.scale**2
+        if not any(self.problem.normal_matrix.factorise(weights, shift=shift) for shift in SHIFTS):
+            raise SolverError("AᵀA + ρFᵀF is singular to rounding; use a blue-noise mesh, or method='clarabel'")
 
 
 def _init(ops: _Operators, lam: float, warm_start: ADMMState | None) -> ADMMState:
@@ -90,14 +81,14 @@ def _init(ops: _Operators, lam: float, warm_start: ADMMState | None) -> ADMMStat
             )
         # w/ρ, the threshold, keeps its size: ρ follows λ, and the multiplier ρu follows the box.
         return replace(warm_start, rho=warm_start.rho * lam / warm_start.lam, lam=lam)
-    size = ops.problem.H.diagonal().sum() / ops.GtG.diagonal().sum()
+    size = ops.problem.H.diagonal().sum() / float((ops.G.data**2).sum())
     return ADMMState(np.zeros(n_hinges), np.zeros(n_hinges), 100.0 * size, lam)
 
 
 def _step(ops: _Operators, state: ADMMState, w: np.ndarray):
     """One iteration; returns the new state, v (relative to the affine fit), ν and the two residual ratios."""
     rho = state.rho
-    v = ops.factor.solve(ops.problem.c + rho * (ops.GT @ (state.z - state.u)))
+    v = ops.problem.normal_matrix.solve(ops.problem.c + rho * (ops.GT @ (state.z - state.u)))
     Gv = ops.G @ v
     nu = rho * (Gv - state.z + state.u) / ops.scale
     relaxed = RELAXATION * Gv + (1.0 - RELAXATION) * state.z + state.u

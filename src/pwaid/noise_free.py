@@ -14,7 +14,6 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import linalg as sparse_linalg
 
-from pwaid.admm import factorise
 from pwaid.errors import InputError, SolverError
 from pwaid.problem import HingeProblem
 
@@ -125,7 +124,7 @@ def _smallest_singular_value(problem: HingeProblem, unbroken: np.ndarray) -> flo
     FJ = sparse.diags_array(1.0 / problem.row_norms[unbroken]) @ problem.F[unbroken]
     M = (problem.H + FJ.T @ FJ).tocsc()
     size = float(M.diagonal().max())
-    factor = factorise(M + 1e-15 * size * sparse.eye_array(M.shape[0]))
+    factor = sparse_linalg.splu((M + 1e-15 * size * sparse.eye_array(M.shape[0])).tocsc())
     v = np.random.default_rng(0).standard_normal(M.shape[0])
     for _ in range(50):
         v = factor.solve(v / np.linalg.norm(v))
