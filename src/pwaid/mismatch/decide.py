@@ -17,6 +17,7 @@ import numpy as np
 from pwaid.mismatch.hypotheses import Hypothesis, floor_square, mean_square
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.vetoes import veto
+import itertools
 
 __all__ = ["Decision", "Thresholds", "decide", "errors_by_recording"]
 
@@ -61,7 +62,7 @@ def _blocks(problem: Problem, Y, data, count: int = 24):
     parts = []
     for a, b in data.recordings:
         edges = np.linspace(a, b, max(4, count // len(data.recordings)) + 1).astype(int)
-        parts += [r[i:j].sum() for i, j in zip(edges[:-1], edges[1:], strict=True)]
+        parts += [r[i:j].sum() for i, j in itertools.pairwise(edges)]
     return np.array(parts)
 
 
@@ -187,7 +188,8 @@ def predicted_by_input(problem, lags: int = 12) -> float:
         for a, b in data.recordings:
             U = data.U[a:b]
             step = max(1, int(problem.structure.time_scale / data.sample_time / 3))
-            shifted = [np.vstack([np.repeat(U[:1], min(k * step, len(U)), axis=0), U[:max(len(U) - k * step, 0)]])
+            shifted = [np.vstack([np.repeat(U[:1], min(k * step, len(U)), axis=0),
+                                  U[:max(len(U) - k * step, 0)]])
                        for k in range(lags)]
             V = np.hstack(shifted)
             rows.append(np.hstack([V, V**2]))
@@ -201,7 +203,8 @@ def predicted_by_input(problem, lags: int = 12) -> float:
     r, s = problem.train.Y - problem.null.Y, problem.test.Y - problem.null_test.Y
     w = np.linalg.solve(P.T @ P + 1e-3 * len(P) * np.eye(P.shape[1]), P.T @ (r - r.mean(0)))
     left = s - r.mean(0) - Q @ w
-    return float(np.max(1 - np.mean(left**2, axis=0) / np.maximum(np.mean((s - r.mean(0)) ** 2, axis=0), 1e-300)))
+    return float(np.max(1 - np.mean(left**2, axis=0) / np.maximum(np.mean((s - r.mean(0)) ** 2, axis=0),
+                                                                  1e-300)))
 
 
 def _passing_pairs(problem, null, singles, pairs, share, t, reasons):
@@ -241,8 +244,10 @@ def _inside(small: Hypothesis, large: Hypothesis) -> bool:
     left = list(large.located)
     swapped = 0
     for e in small.located:
-        same = next((f for f in left if f.effect.id == e.effect.id and f.place.signal == e.place.signal), None)
-        wider = next((f for f in left if e.effect.id in f.effect.contains and f.place.signal == e.place.signal), None)
+        same = next((f for f in left if f.effect.id == e.effect.id and f.place.signal == e.place.signal),
+                    None)
+        wider = next((f for f in left if e.effect.id in f.effect.contains
+                      and f.place.signal == e.place.signal), None)
         if same is None and wider is None:
             return False
         left.remove(same if same is not None else wider)
@@ -289,7 +294,8 @@ def _name(problem, best, passed, t, rng, reasons) -> Decision:
 
 def _agreement_or_parameters(problem: Problem, t: Thresholds) -> str:
     """Parameters only when the nominal simulator is worse than the refitted one beyond the noise."""
-    before = float(np.mean(np.clip((problem.test.Y - problem.nominal_test.Y) / problem.sigma, -1e3, 1e3) ** 2))
+    before = float(np.mean(np.clip((problem.test.Y - problem.nominal_test.Y) / problem.sigma, -1e3,
+                                   1e3) ** 2))
     after = mean_square(problem, problem.null_test, problem.test)
     moved = np.any(np.abs(np.expm1(problem.null.theta[:problem.null.model.np])) > t.moved)
     return "parameters_only" if before > 1.05 * after and moved else "agreement"

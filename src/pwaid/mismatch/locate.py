@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pwaid.mismatch.nullfit import Problem
+import itertools
 
 __all__ = ["Location", "bands", "intervals", "locate"]
 
@@ -29,7 +30,7 @@ def intervals(problem: Problem, share: float = 0.8, pieces: int = 40):
     a, b = data.recordings[0]
     r = np.sum((problem.null.residual(data)[a:b] / problem.sigma) ** 2, axis=1)
     edges = np.linspace(0, b - a, min(pieces, b - a) + 1).astype(int)
-    energy = np.array([r[i:j].sum() for i, j in zip(edges[:-1], edges[1:], strict=True)])
+    energy = np.array([r[i:j].sum() for i, j in itertools.pairwise(edges)])
     order = np.argsort(energy)[::-1]
     keep = np.zeros(len(energy), dtype=bool)
     keep[order[:int(np.searchsorted(np.cumsum(energy[order]), share * energy.sum())) + 1]] = True

@@ -101,7 +101,8 @@ class Structure:
             more = {}
             if with_position and self.position_of(v) < 0:
                 more = {"scales": {"position": self.reach(v) * self.time_scale},
-                        "units": {"position": {**self.state_units[v], "s": self.state_units[v].get("s", 0) + 1}}}
+                        "units": {"position": {**self.state_units[v],
+                                               "s": self.state_units[v].get("s", 0) + 1}}}
             if with_input:
                 if not len(self.input_rms):
                     continue
@@ -129,7 +130,8 @@ class Structure:
                         -1: (self.high[x], self.low[x] - self.high[x])}[side]
                 name = self.plant.state_names[x]
                 places.append(self._place("state", self.plant.state_names[v], [name], ii, v=v, x=x,
-                                          levels={"position": span}, note=("both sides", "upper", "lower")[side]
+                                          levels={"position": span},
+                                          note=("both sides", "upper", "lower")[side]
                                           if sides else ""))
         return places
 
@@ -168,8 +170,10 @@ class Structure:
                 ii[5], ii[9], ii[6] = xa, xb, b
                 twist = max(abs(self.twist(xa, xb, gear)), 1e-12)
                 places.append(self._place("state", f"{self.plant.state_names[xa]}-{self.plant.state_names[xb]}",
-                                          [self.plant.state_names[xa], self.plant.state_names[xb]], ii, v=a, x=xa,
-                                          scales={"position": twist}, constants=(gear, float(self.ratio[xb]))))
+                                          [self.plant.state_names[xa], self.plant.state_names[xb]], ii, v=a,
+                                          x=xa,
+                                          scales={"position": twist},
+                                          constants=(gear, float(self.ratio[xb]))))
         return places
 
     def twist(self, xa: int, xb: int, gear: float) -> float:
@@ -208,13 +212,15 @@ class Structure:
             if x < 0:
                 continue
             ii = self._force_ii(v)
-            places.append(self._place("state", self.plant.state_names[v], [self.plant.state_names[x]], ii, v=v, x=x,
+            places.append(self._place("state", self.plant.state_names[v], [self.plant.state_names[x]], ii,
+                                      v=v, x=x,
                                       note="motor side measured"))
             for k, state in enumerate(self.output_state):
                 if state in (x, v):
                     jj = list(ii)
                     jj[7], jj[10], jj[11] = k, 1, int(state == v)
-                    places.append(self._place("state", self.plant.state_names[v], [self.plant.state_names[x]], jj, v=v,
+                    places.append(self._place("state", self.plant.state_names[v],
+                                              [self.plant.state_names[x]], jj, v=v,
                                               x=x, note="load side measured"))
         return places
 
@@ -222,7 +228,8 @@ class Structure:
         places = []
         for v in self.velocities():
             ii = self._force_ii(v)
-            places.append(self._place("state", self.plant.state_names[v], [f"d{self.plant.state_names[v]}/dt"], ii,
+            places.append(self._place("state", self.plant.state_names[v],
+                                      [f"d{self.plant.state_names[v]}/dt"], ii,
                                       v=v, constants=(self.mobility.get(v, 1.0),)))
         return places
 
@@ -259,12 +266,14 @@ class Structure:
         places = [self._place("state", self.plant.state_names[v], [], self._force_ii(v), v=v)
                   for v in self.velocities()]
         taken = {self.entry[v][1] for v in self.velocities() if self.entry[v][0] == 0}
-        driven = len(self.velocities()) and all(self.kinds[i] in ("velocity", "position") for i in range(len(self.kinds)))
+        driven = len(self.velocities()) and all(self.kinds[i] in ("velocity", "position")
+                                                for i in range(len(self.kinds)))
         for j, name in enumerate(self.plant.input_names):
             if j in taken or (driven and len(self.plant.input_names) == 1):
                 continue
             ii = [0, 0, j, -1, -1, -1, -1, -1, j, -1, 0, 0]
-            places.append(self._place("input", name, [], ii, j=j, scales={"force": float(self.input_max[j]) or 1.0},
+            places.append(self._place("input", name, [], ii, j=j,
+                                      scales={"force": float(self.input_max[j]) or 1.0},
                                       units={"force": self.input_units[j]}))
         return places
 
@@ -296,8 +305,10 @@ class Structure:
             shift = 0.0 if absolute else (293.15 if "K" in self.state_units[i] else 273.15)
             constants = (shift,) if kind == "thermal" else ()
             span = (min(self.low[i], 0.0), self.high[i] - min(self.low[i], 0.0))
-            places.append(self._place("state", self.plant.state_names[i], [self.plant.state_names[i]], ii, x=i,
-                                      levels={"position": span, "ambient": (self.low[i], self.high[i] - self.low[i])},
+            places.append(self._place("state", self.plant.state_names[i], [self.plant.state_names[i]], ii,
+                                      x=i,
+                                      levels={"position": span,
+                                              "ambient": (self.low[i], self.high[i] - self.low[i])},
                                       units={"ambient": self.state_units[i]}, constants=constants))
         return places
 
@@ -313,18 +324,21 @@ class Structure:
                         continue
                     ii = [0, 1, i, -1, i, -1, j, -1, -1, -1, 0, 0]
                     places.append(self._place(
-                        "state", self.plant.state_names[i], [self.plant.state_names[i], self.plant.state_names[j]], ii,
+                        "state", self.plant.state_names[i],
+                        [self.plant.state_names[i], self.plant.state_names[j]], ii,
                         x=i, levels={"position": (0.0, self.reach(i)), "second": (0.0, self.reach(j))},
                         units={"second": self.state_units[j]}))
         return places
 
     def drifting_parameters(self) -> list[Place]:
         names = list(self.plant.parameters)
-        return [self._place("parameter", name, ["t"], [0, 0, 0, -1, -1, -1, -1, -1, -1, -1, names.index(name), 0])
+        return [self._place("parameter", name, ["t"],
+                            [0, 0, 0, -1, -1, -1, -1, -1, -1, -1, names.index(name), 0])
                 for name in self.free if name in names]
 
 
-def find_structure(plant: Plant, states, inputs, outputs, input_units, output_units, sample_time, length, free=()):
+def find_structure(plant: Plant, states, inputs, outputs, input_units, output_units, sample_time, length,
+                   free=()):
     """Probe the plant over the states met in a simulation of the recordings.
 
     Parameters
@@ -346,7 +360,7 @@ def find_structure(plant: Plant, states, inputs, outputs, input_units, output_un
     output_state, gains = _output_map(plant, points, low, high)
     in_units = tuple(parse_unit(u) for u in input_units)
     out_units = tuple(parse_unit(u) for u in output_units)
-    units = [dict() for _ in range(nx)]
+    units = [{} for _ in range(nx)]
     kinds = [""] * nx
     for k, i in enumerate(output_state):
         if i >= 0 and abs(gains[k] - 1) < 1e-6:
@@ -365,7 +379,8 @@ def find_structure(plant: Plant, states, inputs, outputs, input_units, output_un
         for i in range(nx):
             if kinds[i] == kind and not units[i]:
                 units[i] = known
-    entry, scale, funits, iunits, mobility = _force_entries(plant, kinds, points, low, high, rms_u, input_units, units)
+    entry, scale, funits, iunits, mobility = _force_entries(plant, kinds, points, low, high, rms_u,
+                                                            input_units, units)
     dy = np.diff(outputs, axis=0) / sample_time
     active = np.std(outputs, axis=0) > 0
     ratios = np.std(outputs, axis=0)[active] / np.maximum(np.std(dy, axis=0)[active], 1e-300)
@@ -405,7 +420,8 @@ def _output_map(plant, points, low, high):
     for k in range(ny):
         for i in range(Xs.shape[1]):
             c = G[:, k] @ Xs[:, i] / max(Xs[:, i] @ Xs[:, i], 1e-300)
-            if np.any(G[:, k]) and np.allclose(G[:, k], c * Xs[:, i], rtol=1e-9, atol=1e-12 * np.max(np.abs(G[:, k]))):
+            if np.any(G[:, k]) and np.allclose(G[:, k], c * Xs[:, i], rtol=1e-9,
+                                               atol=1e-12 * np.max(np.abs(G[:, k]))):
                 found[k], gains[k] = i, c
     return tuple(found), gains
 

@@ -16,7 +16,8 @@ def _effect_line(e: dict) -> str:
     values = ", ".join(f"{name} = {number(v['value'])} ({number(v['low'])} to {number(v['high'])}) {v['unit']}".rstrip()
                        for name, v in e["parameters"].items())
     where = e["where"]["signal"] + (f", {e['where']['note']}" if e["where"].get("note") else "")
-    return f"{e['id'].replace('_', ' ')} at {e['where']['kind']} {where}: {e['law']}" + (f"; {values}" if values else "")
+    return f"{e['id'].replace('_', ' ')} at {e['where']['kind']} {where}: {e['law']}" + (f"; {values}"
+                                                                                         if values else "")
 
 
 _VERDICTS = {
