@@ -85,7 +85,9 @@ def _init(ops: _Operators, lam: float, warm_start: ADMMState | None) -> ADMMStat
     n_hinges = ops.G.shape[0]
     if warm_start is not None:
         if not isinstance(warm_start, ADMMState) or warm_start.z.size != n_hinges:
-            raise InputError("warm_start does not belong to this problem; pass Solution.state of the same mesh and method")
+            raise InputError(
+                "warm_start does not belong to this problem; pass Solution.state of the same mesh and method"
+            )
         # w/ρ, the threshold, keeps its size: ρ follows λ, and the multiplier ρu follows the box.
         return replace(warm_start, rho=warm_start.rho * lam / warm_start.lam, lam=lam)
     size = ops.problem.H.diagonal().sum() / ops.GtG.diagonal().sum()

@@ -5,10 +5,10 @@ physical units have no common length (2011: the units 1.5 A and 35 rad/s; 2014 E
 and come out in physical units; distances, heights and facet measures are those of the normalised coordinates.
 
 Slivers. A simplex whose smallest singular value (about its smallest height) is below 1e-7 of its longest edge is
-*degenerate*: rounding decides its shape. Degenerate simplices on the boundary are dropped (the boundary moves by
+*degenerate*: rounding decides its shape. Degenerate simplices that lie on the boundary are dropped (it moves by
 rounding only). When one is left inside, as Qhull gives for points on a lattice from d = 3 on and for the corners of
-a box, dropping it would tear the map; the vertices of such simplices are then moved by a random 0.1 % of the mesh
-spacing (1 %, then 5 %, if that does not help) and triangulated again. Vertices on the boundary move outwards only,
+a box, dropping it would tear the map; the vertices of such simplices are then moved by a random 1 % of the mesh
+spacing (3 %, then 10 %, if that does not help) and triangulated again. Vertices on the boundary move outwards only,
 so the mesh still covers what it covered. `SimplexMesh.quality` reports how many simplices were dropped, how far
 points moved, and the worst aspect ratio left.
 """
@@ -32,7 +32,7 @@ __all__ = ["Facets", "MeshQuality", "Scaling", "SimplexMesh"]
 # Coordinates down to minus this count as inside: a point on the hull, after rounding, belongs to the mesh.
 INSIDE_TOLERANCE = 1e-10
 DEGENERATE = 1e-7
-JITTERS = (1e-3, 1e-3, 1e-2, 1e-2, 5e-2, 5e-2)
+JITTERS = (1e-2, 1e-2, 3e-2, 3e-2, 1e-1, 1e-1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -279,6 +279,11 @@ class SimplexMesh:
         return np.ascontiguousarray(gradients), np.ascontiguousarray(offsets)
 
     @cached_property
+    def _origins(self) -> np.ndarray:
+        """The last vertex of each simplex, normalised, shape (n_simplices, d)."""
+        return self.normalised[self.simplices[:, -1]]
+
+    @cached_property
     def heights(self) -> np.ndarray:
         """Distance of each vertex from the opposite facet's hyperplane, normalised, shape (n_simplices, d + 1)."""
         return 1.0 / np.linalg.norm(self._barycentric[0], axis=2)
@@ -310,11 +315,11 @@ class SimplexMesh:
 
     @cached_property
     def _buckets(self) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
-        """A start simplex for each bucket of a regular grid with about as many cells as points."""
+        """A start simplex for each bucket of a regular grid with about as many cells as simplices."""
         Z = self.normalised
         d = self.dimension
         low, high = Z.min(axis=0), Z.max(axis=0)
-        shape = np.full(d, max(1, min(64 if d > 2 else 1024, round(self.n_points ** (1.0 / d)))))
+        shape = np.full(d, max(1, min(64 if d > 2 else 1024, round(self.n_simplices ** (1.0 / d)))))
         width = (high - low) / shape
         axes = [low[k] + width[k] * (np.arange(shape[k]) + 0.5) for k in range(d)]
         centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, d)
@@ -346,12 +351,12 @@ class SimplexMesh:
             Barycentric coordinates, NaN outside.
         """
         Z = np.ascontiguousarray(self.scaling.apply(self.check_points(X)))
-        gradients, offsets = self._barycentric
+        gradients, origins = self._barycentric[0], self._origins
         simplex = np.empty(len(Z), np.int64)
         weights = np.empty((len(Z), self.dimension + 1))
-        walk.locate(gradients, offsets, self.neighbors, Z, *self._buckets, INSIDE_TOLERANCE, simplex, weights)
+        walk.locate(gradients, origins, self.neighbors, Z, *self._buckets, INSIDE_TOLERANCE, simplex, weights)
         if not self.convex or np.any(simplex < -self.n_simplices):
-            walk.locate_exhaustively(gradients, offsets, *self._boxes, Z, INSIDE_TOLERANCE, simplex, weights)
+            walk.locate_exhaustively(gradients, origins, *self._boxes, Z, INSIDE_TOLERANCE, simplex, weights)
         outside = simplex < 0
         simplex[outside] = -1
         weights[outside] = np.nan
@@ -480,13 +485,31 @@ def _degenerate(Z: np.ndarray, simplices: np.ndarray) -> np.ndarray:
 
 
 def _peel(Z: np.ndarray, simplices: np.ndarray) -> np.ndarray:
-    """Drop degenerate simplices that touch the boundary, again and again."""
+    """Drop degenerate simplices that lie on the boundary with one whole side, again and again.
+
+    A flat simplex has two sides of equal measure. Where boundary facets make up one of them, the other side takes
+    their place; one that touches the boundary only with its rim stands inside, and without it the mesh would tear.
+    """
     while True:
-        flat = _degenerate(Z, simplices)
-        on_boundary = flat & np.any(_neighbors(simplices) < 0, axis=1) if flat.any() else flat
-        if not on_boundary.any():
+        flat = np.flatnonzero(_degenerate(Z, simplices))
+        if flat.size == 0:
             return simplices
-        simplices = simplices[~on_boundary]
+        measures = _side_measures(Z, simplices[flat])
+        outer = np.where(_neighbors(simplices)[flat] < 0, measures, 0.0).sum(axis=1)
+        lying = flat[outer >= 0.499 * measures.sum(axis=1)]
+        if lying.size == 0:
+            return simplices
+        simplices = np.delete(simplices, lying, axis=0)
+
+
+def _side_measures(Z: np.ndarray, simplices: np.ndarray) -> np.ndarray:
+    """Relative measure of the facet opposite each vertex, shape (n, d + 1)."""
+    columns = []
+    for j in range(simplices.shape[1]):
+        V = Z[np.delete(simplices, j, axis=1)]
+        E = V[:, 1:] - V[:, :1]
+        columns.append(np.sqrt(np.maximum(np.linalg.det(E @ E.transpose(0, 2, 1)), 0.0)))
+    return np.column_stack(columns)
 
 
 def _triangulate(Z: np.ndarray) -> tuple[np.ndarray, np.ndarray, MeshQuality]:

@@ -18,7 +18,6 @@ and `"htv"` has a meaning at all.
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np

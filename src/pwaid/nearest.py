@@ -13,57 +13,96 @@ import numpy as np
 
 from pwaid.delaunay import SimplexMesh
 
-__all__ = ["extend"]
+__all__ = ["extend", "nearest_facet"]
 
 
 @numba.njit(cache=True)
-def _face_distance(V, mask, x):
+def _solve(gram, right, k):
+    """Solve a small positive definite system in place by Gaussian elimination; False when it is singular."""
+    for i in range(k):
+        if gram[i, i] <= 0.0:
+            return False
+        for j in range(i + 1, k):
+            factor = gram[j, i] / gram[i, i]
+            for l in range(i, k):
+                gram[j, l] -= factor * gram[i, l]
+            right[j] -= factor * right[i]
+    for i in range(k - 1, -1, -1):
+        for j in range(i + 1, k):
+            right[i] -= gram[i, j] * right[j]
+        right[i] /= gram[i, i]
+    return True
+
+
+@numba.njit(cache=True)
+def _face_distance(V, mask, x, members, gram, right):
     """Squared distance of x from the affine hull of the vertices in `mask`, or −1 if projected outside the face."""
-    k = -1
-    d = x.shape[0]
-    members = np.empty(V.shape[0], np.int64)
+    d, k = x.shape[0], -1
     for j in range(V.shape[0]):
         if mask >> j & 1:
             k += 1
             members[k] = j
     base = V[members[0]]
-    distance = 0.0
-    if k == 0:
-        for i in range(d):
-            distance += (x[i] - base[i]) ** 2
-        return distance
-    E = np.empty((k, d))
-    for j in range(k):
-        E[j] = V[members[j + 1]] - base
-    gram = E @ E.T
-    right = E @ (x - base)
-    for j in range(k):  # a flat face only repeats what its own faces say
-        gram[j, j] *= 1.0 + 1e-14
-        if gram[j, j] == 0.0:
-            return -1.0
-    b = np.linalg.solve(gram, right)
-    if b.min() < 0.0 or b.sum() > 1.0:
+    for i in range(k):
+        right[i] = 0.0
+        for l in range(d):
+            right[i] += (V[members[i + 1], l] - base[l]) * (x[l] - base[l])
+        for j in range(k):
+            gram[i, j] = 0.0
+            for l in range(d):
+                gram[i, j] += (V[members[i + 1], l] - base[l]) * (V[members[j + 1], l] - base[l])
+    if not _solve(gram, right, k):  # a flat face only repeats what its own faces say
         return -1.0
-    rest = x - base - E.T @ b
-    return (rest * rest).sum()
+    total = 0.0
+    for i in range(k):
+        if right[i] < 0.0:
+            return -1.0
+        total += right[i]
+    if total > 1.0:
+        return -1.0
+    distance = 0.0
+    for l in range(d):
+        rest = x[l] - base[l]
+        for i in range(k):
+            rest -= right[i] * (V[members[i + 1], l] - base[l])
+        distance += rest * rest
+    return distance
 
 
 @numba.njit(cache=True)
-def _nearest_facet(facets, centres, radii, X, result):
-    n_faces = 1 << facets.shape[1]
-    distances = np.empty(facets.shape[0])
+def _distance(x, y):
+    total = 0.0
+    for l in range(x.shape[0]):
+        total += (x[l] - y[l]) ** 2
+    return np.sqrt(total)
+
+
+@numba.njit(cache=True)
+def nearest_facet(facets, centres, radii, x):
+    """Index of the facet nearest to x; `facets` (n, d, d) holds their vertices."""
+    n, d = facets.shape[0], facets.shape[1]
+    members, gram, right = np.empty(d, np.int64), np.empty((d, d)), np.empty(d)
+    bound, first = np.inf, 0  # the facet that reaches nearest is looked at first, to pass over the others
+    for f in range(n):
+        reach = _distance(x, centres[f]) + radii[f]
+        if reach < bound:
+            bound, first = reach, f
+    best, found = bound, first
+    for g in range(n):
+        f = (first + g) % n
+        if _distance(x, centres[f]) - radii[f] > best:
+            continue
+        for mask in range(1, 1 << d):
+            squared = _face_distance(facets[f], mask, x, members, gram, right)
+            if squared >= 0.0 and np.sqrt(squared) < best:
+                best, found = np.sqrt(squared), f
+    return found
+
+
+@numba.njit(cache=True)
+def _nearest_facets(facets, centres, radii, X, result):
     for k in range(X.shape[0]):
-        for f in range(facets.shape[0]):
-            distances[f] = np.sqrt(((X[k] - centres[f]) ** 2).sum())
-        best = np.inf
-        for f in np.argsort(distances - radii):
-            if distances[f] - radii[f] > best:
-                break
-            for mask in range(1, n_faces):
-                squared = _face_distance(facets[f], mask, X[k])
-                if 0.0 <= squared and np.sqrt(squared) < best:
-                    best = np.sqrt(squared)
-                    result[k] = f
+        result[k] = nearest_facet(facets, centres, radii, X[k])
 
 
 def extend(mesh: SimplexMesh, X: np.ndarray, simplex: np.ndarray, weights: np.ndarray):
@@ -79,7 +118,7 @@ def extend(mesh: SimplexMesh, X: np.ndarray, simplex: np.ndarray, weights: np.nd
     radii = np.linalg.norm(facets - centres[:, None], axis=2).max(axis=1)
     Z = mesh.scaling.apply(X[outside])
     found = np.zeros(len(outside), np.int64)
-    _nearest_facet(facets, centres, radii, Z, found)
+    _nearest_facets(facets, centres, radii, Z, found)
     simplex, weights = simplex.copy(), weights.copy()
     simplex[outside] = s[found]
     gradients, offsets = mesh._barycentric

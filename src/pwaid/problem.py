@@ -6,11 +6,14 @@ Only H = AᵀA, c = Aᵀy and yᵀy enter, so N may be far larger than memory (`
 
 Certificate. For any r, ν with Aᵀr = Fᵀν and ‖ν‖_∞ ≤ λ, weak duality gives P ≥ D = yᵀr − ½ ‖r‖². A pair (v, ν) with
 H v + Fᵀν = c gives r = y − A v; scaling r and ν by t = min(1, λ/‖ν‖_∞) makes it feasible. What is left of the
-equation by rounding, q = c − H v − Fᵀν, is charged to the bound. The gap of the point returned is
+equation, q = c − H v − Fᵀν, is charged to the bound with ‖q‖₁ times a generous bound of the optimum's distance from
+the affine fit, the larger of those of ŷ and v and of ‖ỹ‖₂, √N times its RMS (q is rounding for a pair that fulfils
+the equation; a pair that does not gets no useful bound). The gap of the point returned is
 (P(ŷ) − D) / P(ŷ): every tolerance in pwaid means this number.
 
 Affine functions cost nothing (F annihilates them), so c and yᵀy are taken relative to the best affine fit ŷ_aff:
-this changes neither problem nor gap (‖Fŷ_aff‖₁, zero but for rounding, is charged too) and keeps digits when y has a large mean or trend.
+this changes neither problem nor gap (‖Fŷ_aff‖₁, zero but for rounding, is charged too) and keeps digits when y has
+a large mean or trend.
 """
 
 from __future__ import annotations
@@ -23,6 +26,8 @@ import numpy as np
 from scipy import sparse
 from scipy.sparse import linalg as sparse_linalg
 
+from pwaid.assembly import SampleSums
+from pwaid.cholesky import NormalMatrix
 from pwaid.delaunay import SimplexMesh
 from pwaid.errors import InputError
 from pwaid.lerp import barycentric_rows, hinge_matrix
@@ -32,6 +37,8 @@ __all__ = ["Certificate", "HingeProblem"]
 
 # A hinge counts as broken when its extrapolation error exceeds this fraction of the RMS of y about its affine fit.
 BROKEN = 1e-4
+# A residual of this fraction of y is rounding.
+EXACT = 1e-11
 
 
 @dataclass(frozen=True)
@@ -62,6 +69,9 @@ class HingeProblem:
         Measured outputs.
     points : ndarray, shape (n_points, d), optional
         Mesh vertices. They give the null space of F (affine functions) at once; without them it is computed.
+    affine_basis : ndarray, shape (n_points, k), optional
+        An orthonormal basis of the null space of F, where it holds more than the affine functions (extra linear
+        unknowns). Instead of `points`.
     n_dropped : int
         How many samples were left out because they lie outside the mesh (for reports).
 
@@ -71,7 +81,9 @@ class HingeProblem:
         Shapes that do not fit, NaN, or fewer than d + 2 samples.
     """
 
-    def __init__(self, A: Any, F: Any, y: Any, *, points: Any = None, n_dropped: int = 0):
+    def __init__(
+        self, A: Any, F: Any, y: Any, *, points: Any = None, affine_basis: Any = None, n_dropped: int = 0
+    ):
         A = sparse.csr_matrix(A)
         y = np.asarray(y, dtype=float)
         if y.ndim == 2 and y.shape[1] == 1:
@@ -82,6 +94,8 @@ class HingeProblem:
         check_finite(A.data, "A")
         self.A, self.y = A, y
         self._setup((A.T @ A).tocsc(), A.T @ y, float(y @ y), F, y.size, points)
+        if affine_basis is not None:
+            self.affine_basis = np.asarray(affine_basis, dtype=float)
         self.n_dropped = n_dropped
 
     @classmethod
@@ -126,6 +140,32 @@ class HingeProblem:
         F = hinge_matrix(mesh, weighting)
         return cls(A, F, y[inside], points=mesh.normalised, n_dropped=int((~inside).sum()))
 
+    @classmethod
+    def from_chunks(
+        cls, mesh: SimplexMesh, chunks: Any, *, weighting: str = "pairs", outside: str = "raise"
+    ) -> HingeProblem:
+        """From samples that come in chunks, in memory that does not grow with their number.
+
+        Parameters
+        ----------
+        mesh : SimplexMesh
+        chunks : iterable of (X, y)
+            X of shape (n, d) and y of shape (n,) each; a generator that reads a file will do.
+        weighting, outside
+            As in `from_data`.
+        """
+        sums = SampleSums(mesh, outside=outside)
+        sums.add_all(chunks)
+        if sums.n < mesh.dimension + 2:
+            raise InputError(
+                f"{sums.n} of {sums.n + sums.n_dropped} samples lie inside the mesh; expected at least "
+                f"{mesh.dimension + 2}: are mesh and samples in the same units?"
+            )
+        F = hinge_matrix(mesh, weighting)
+        self = cls.from_statistics(sums.AtA, sums.Aty, sums.yty, F, sums.n, points=mesh.normalised)
+        self.n_dropped = sums.n_dropped
+        return self
+
     def _setup(self, H, Aty, yty, F, n_samples, points) -> None:
         F = sparse.csr_matrix(F)
         if F.shape[1] != H.shape[0] or H.shape[0] != H.shape[1] or Aty.shape != (H.shape[0],):
@@ -144,6 +184,15 @@ class HingeProblem:
                 raise InputError(f"points have shape {points.shape}; expected ({H.shape[0]}, d)")
         self._points = points
 
+    @cached_property
+    def normal_matrix(self) -> NormalMatrix:
+        """H + FᵀDF for any diagonal D: ordered once, factorised by every solver. Not for several threads at once."""
+        return NormalMatrix(self.H, self.F, self._points)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What is pickled: all but the factorisation, which is large and soon made again."""
+        return {k: v for k, v in self.__dict__.items() if k != "normal_matrix"}
+
     # -- the affine part -------------------------------------------------------------------------------------
 
     @cached_property
@@ -155,9 +204,21 @@ class HingeProblem:
 
     @cached_property
     def affine_values(self) -> np.ndarray:
-        """ŷ of the affine least-squares fit (2014 eq. 13), shape (n_points,): the solution for λ ≥ λmax."""
+        """ŷ of the affine least-squares fit (2014 eq. 13), shape (n_points,): the solution for λ ≥ λmax.
+
+        Raises
+        ------
+        InputError
+            The samples do not determine it: collinear inputs, or fewer than d + 1 distinct samples.
+        """
         V = self.affine_basis
-        return V @ np.linalg.lstsq(V.T @ (self.H @ V), V.T @ self.Aty, rcond=None)[0]
+        coefficients, _, rank, _ = np.linalg.lstsq(V.T @ (self.H @ V), V.T @ self.Aty, rcond=1e-13)
+        if rank < V.shape[1]:
+            raise InputError(
+                f"the {self.n_samples} samples do not determine an affine function of the {V.shape[1] - 1} inputs: "
+                "the inputs are collinear, or too few samples are distinct; leave out the redundant input"
+            )
+        return V @ coefficients
 
     @cached_property
     def _affine_leak(self) -> float:
@@ -186,10 +247,8 @@ class HingeProblem:
 
     @cached_property
     def is_affine(self) -> bool:
-        """Whether y is an affine function of x to rounding, so that λmax = 0."""
-        return self.affine_loss <= 0.5 * self.n_samples * (64 * np.finfo(float).eps) ** 2 * max(
-            1e-300, float(self.yty) / self.n_samples
-        )
+        """Whether y is an affine function of x to rounding (RMS 1e-11 of y's own), so that λmax = 0."""
+        return self.affine_loss <= 0.5 * EXACT**2 * self.yty
 
     # -- judging ---------------------------------------------------------------------------------------------
 
@@ -253,14 +312,24 @@ class HingeProblem:
         rr = max(0.0, centred - 2.0 * float(c @ move) + float(move @ image))
         yr = centred - float(c @ move)
         left_over = c - image - self.F.T @ nu
-        charge = float(np.abs(left_over).sum() * np.abs(move).max(initial=0.0)) + lam * self._affine_leak
+        reach = max(np.abs(move).max(initial=0.0), np.abs(values - self.affine_values).max(initial=0.0), centred**0.5)
+        charge = float(np.abs(left_over).sum() * reach) + lam * self._affine_leak
         return Certificate(primal, max(0.0, t * yr - 0.5 * t * t * rr - t * charge))
 
-    def certify(self, values: np.ndarray, nu: np.ndarray, lam: float) -> tuple[Certificate, np.ndarray]:
-        """Judge ŷ and a multiplier from any solver: make them dual feasible by one linear solve first.
+    def certify(
+        self, values: np.ndarray, nu: np.ndarray, lam: float, *, weights: np.ndarray | None = None
+    ) -> tuple[Certificate, np.ndarray]:
+        """Judge ŷ and a multiplier from any solver: make them dual feasible by a linear solve first.
 
-        v solves (H + ρFᵀF) v = c + Fᵀ(ρFŷ − ν); then (v, ν + ρF(v − ŷ)) fulfils the equation of the certificate
+        v solves (H + FᵀWF) v = c + Fᵀ(WFŷ − ν); then (v, ν + WF(v − ŷ)) fulfils the equation of the certificate
         exactly, whatever the rank of A.
+
+        Parameters
+        ----------
+        values, nu, lam
+            As in `certificate`.
+        weights : ndarray, shape (n_hinges,), optional
+            The diagonal of W up to a factor: how much each multiplier may move; 1/row_norms² by default.
 
         Returns
         -------
@@ -268,14 +337,14 @@ class HingeProblem:
         nu : ndarray, shape (n_hinges,)
             The repaired multiplier.
         """
-        scaled = sparse.diags_array(1.0 / self.row_norms) @ self.F
-        rho = float(self.H.diagonal().mean() / (scaled.multiply(scaled).sum() / self.n_points))
-        move = values - self.affine_values
-        weights = rho / self.row_norms**2
-        K = (self.H + scaled.T @ scaled * rho).tocsc()
-        rhs = self.c + self.F.T @ (weights * (self.F @ move) - nu)
-        v = sparse_linalg.spsolve(K, rhs)
-        nu = nu + weights * (self.F @ (v - move))
+        weights = 1.0 / self.row_norms**2 if weights is None else weights
+        weights = weights * (self.H.diagonal().sum() / float(weights @ self.row_norms**2))
+        if not self.normal_matrix.factorise(weights) and not self.normal_matrix.factorise(weights, shift=1e-12):
+            return Certificate(self.objective(values, lam), 0.0), nu
+        v = values - self.affine_values
+        for _ in range(2):  # the second round removes the rounding of the first
+            step = self.normal_matrix.solve(self.c - self.H @ v - self.F.T @ nu)
+            v, nu = v + step, nu + weights * (self.F @ step)
         return self.certificate(values, v + self.affine_values, nu, lam), nu
 
 

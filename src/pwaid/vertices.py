@@ -56,6 +56,18 @@ def box_corners(bounds: Any) -> np.ndarray:
     return np.array(list(product(*as_bounds(bounds))))
 
 
+def _loose_corners(bounds: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """The corners; from d = 4 on moved outwards by a random 0–5 % of the box.
+
+    The 2^(d−1) corners of one face lie in a plane, and with few other points on the hull their Delaunay simplices
+    would be slivers. Moved corners are in general position, and the box stays covered.
+    """
+    corners, centre = box_corners(bounds), bounds.mean(axis=1)
+    if len(bounds) < 4:
+        return corners
+    return centre + (corners - centre) * (1.0 + 0.1 * rng.uniform(size=(len(corners), 1)))
+
+
 def _room_for_corners(n: int, corners: np.ndarray, what: str) -> int:
     if n < corners.shape[0] + 1:
         raise InputError(
@@ -66,9 +78,9 @@ def _room_for_corners(n: int, corners: np.ndarray, what: str) -> int:
 
 
 def uniform_points(bounds: Any, n: int, rng: Any = None) -> np.ndarray:
-    """`n` points uniform in a box, its 2^d corners among them (2014 Example 1)."""
+    """`n` points uniform in a box, its 2^d corners among them (2014 Example 1); see `_loose_corners` for d ≥ 4."""
     box, rng = as_bounds(bounds), np.random.default_rng(rng)
-    corners = box_corners(box)
+    corners = _loose_corners(box, rng)
     inside = rng.uniform(box[:, 0], box[:, 1], (_room_for_corners(n, corners, "a uniform mesh"), len(box)))
     return np.vstack([corners, inside])
 
@@ -149,7 +161,7 @@ def data_points(X: Any, n: int | None = None, rng: Any = None, *, margin: float 
         k = int(np.argmax(low == high))
         raise InputError(f"column {k} of X is constant ({low[k]:g}); expected every input to vary: leave it out")
     wide = margin * (high - low)
-    corners = box_corners(np.column_stack([low - wide, high + wide]))
+    corners = _loose_corners(np.column_stack([low - wide, high + wide]), rng)
     distinct = np.unique(X, axis=0)
     if n is None or len(distinct) + len(corners) <= n:
         return np.vstack([corners, distinct])

@@ -1,6 +1,7 @@
 """Compiled point location: which simplex holds a point, by walking from neighbour to neighbour.
 
-A simplex s with vertices v_0 … v_d has barycentric coordinates b_j(x) = gradients[s, j] · x + offsets[s, j].
+A simplex s with vertices v_0 … v_d has barycentric coordinates b_j(x) = gradients[s, j] · (x − v_d) for j < d, and
+one minus their sum for the last; differences from a vertex keep the digits that large coordinates would lose.
 The walk leaves the simplex through a facet whose coordinate is negative. In a Delaunay mesh such a walk ends
 (no simplex is met twice). A grid of buckets over the mesh gives a start next to the goal, so that a walk takes
 two or three steps on average. Everything here works in the mesh's normalised coordinates.
@@ -15,15 +16,15 @@ __all__ = ["bucket_index", "locate", "locate_exhaustively", "walk"]
 
 
 @numba.njit(cache=True, inline="always")
-def barycentric(gradients, offsets, s, x, out):
+def barycentric(gradients, origins, s, x, out):
     """Write the barycentric coordinates of x in simplex s to `out`; return the index of the smallest."""
     d = x.shape[0]
     worst = 0
     total = 0.0
     for j in range(d):
-        b = offsets[s, j]
+        b = 0.0
         for k in range(d):
-            b += gradients[s, j, k] * x[k]
+            b += gradients[s, j, k] * (x[k] - origins[s, k])
         out[j] = b
         total += b
         if b < out[worst]:
@@ -49,7 +50,7 @@ def bucket_index(x, low, inverse_width, shape):
 
 
 @numba.njit(cache=True)
-def walk(gradients, offsets, neighbors, x, start, tolerance, out):
+def walk(gradients, origins, neighbors, x, start, tolerance, out):
     """Walk from simplex `start` to the one that holds x.
 
     Returns
@@ -62,7 +63,7 @@ def walk(gradients, offsets, neighbors, x, start, tolerance, out):
     s = start
     n_simplices = neighbors.shape[0]
     for _ in range(n_simplices + 10):
-        worst = barycentric(gradients, offsets, s, x, out)
+        worst = barycentric(gradients, origins, s, x, out)
         if out[worst] >= -tolerance:
             return s
         step = neighbors[s, worst]
@@ -78,15 +79,44 @@ def walk(gradients, offsets, neighbors, x, start, tolerance, out):
 
 
 @numba.njit(cache=True)
-def locate(gradients, offsets, neighbors, X, buckets, low, inverse_width, shape, tolerance, simplex, weights):
-    """Locate every row of X; `simplex` gets the index or −1 − (last simplex), `weights` the coordinates."""
+def _by_bucket(X, low, inverse_width, shape, n_buckets):
+    """The order of the points by bucket (a counting sort), and each point's bucket."""
+    bucket = np.empty(X.shape[0], np.int64)
+    begin = np.zeros(n_buckets + 1, np.int64)
     for k in range(X.shape[0]):
-        start = buckets[bucket_index(X[k], low, inverse_width, shape)]
-        simplex[k] = walk(gradients, offsets, neighbors, X[k], start, tolerance, weights[k])
+        bucket[k] = bucket_index(X[k], low, inverse_width, shape)
+        begin[bucket[k] + 1] += 1
+    for b in range(n_buckets):
+        begin[b + 1] += begin[b]
+    order = np.empty(X.shape[0], np.int64)
+    for k in range(X.shape[0]):
+        order[begin[bucket[k]]] = k
+        begin[bucket[k]] += 1
+    return order, bucket
 
 
 @numba.njit(cache=True)
-def locate_exhaustively(gradients, offsets, lower, upper, X, tolerance, simplex, weights):
+def locate(gradients, origins, neighbors, X, buckets, low, inverse_width, shape, tolerance, simplex, weights):
+    """Locate every row of X; `simplex` gets the index or −1 − (last simplex), `weights` the coordinates.
+
+    Points are taken bucket by bucket, and each walk in a bucket starts where the last one ended: the simplices of a
+    bucket stay in the cache, and a walk is a step or two.
+    """
+    order, bucket = _by_bucket(X, low, inverse_width, shape, buckets.size)
+    here = -1
+    start = 0
+    for k in order:
+        if bucket[k] != here:
+            here = bucket[k]
+            start = buckets[here]
+        found = walk(gradients, origins, neighbors, X[k], start, tolerance, weights[k])
+        simplex[k] = found
+        if found >= 0:
+            start = found
+
+
+@numba.njit(cache=True)
+def locate_exhaustively(gradients, origins, lower, upper, X, tolerance, simplex, weights):
     """For the rows with simplex < 0: look through all simplices whose bounding box holds the point."""
     d = X.shape[1]
     out = np.empty(d + 1)
@@ -101,7 +131,7 @@ def locate_exhaustively(gradients, offsets, lower, upper, X, tolerance, simplex,
                     break
             if not inside:
                 continue
-            worst = barycentric(gradients, offsets, s, X[k], out)
+            worst = barycentric(gradients, origins, s, X[k], out)
             if out[worst] >= -tolerance:
                 simplex[k] = s
                 weights[k] = out

@@ -1,0 +1,84 @@
+"""What the baselines share: reading a case folder, simulating the nominal, writing a report of the same
+schema."""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import json
+import time
+import tomllib
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+SUBSTEPS = 2
+
+
+@dataclass(frozen=True)
+class Folder:
+    """A case folder: simulator, recordings {file: (t, u, y)}, names, units."""
+
+    system: object
+    recordings: dict
+    train: tuple
+    test: tuple
+    inputs: dict
+    outputs: dict
+    free: tuple
+
+
+def read(path):
+    """Read a case folder as any user's script would."""
+    spec = tomllib.loads((path / "case.toml").read_text(encoding="utf-8"))
+    loader = importlib.util.spec_from_file_location("simulator", path / spec["simulator"])
+    module = importlib.util.module_from_spec(loader)
+    loader.loader.exec_module(module)
+    nu = len(spec["inputs"])
+    recordings = {}
+    for name in [*spec["train"], *spec["test"]]:
+        table = np.loadtxt(path / name, delimiter=",", skiprows=1, ndmin=2)
+        recordings[name] = (table[:, 0], table[:, 1:1 + nu], table[:, 1 + nu:])
+    return Folder(module.build(), recordings, tuple(spec["train"]), tuple(spec["test"]), spec["inputs"],
+                  spec["outputs"], tuple(spec["free_parameters"]))
+
+
+def simulate(system, params, u, ts, x0):
+    """Outputs of a continuous python-control system, RK4 with held input, shape (n, outputs)."""
+    out = np.full((len(u), system.noutputs), np.nan)
+    x = np.array(x0, float)
+    h = ts / SUBSTEPS
+    for k, now in enumerate(u):
+        out[k] = system.output(0.0, x, now, params=params)
+        for _ in range(SUBSTEPS):
+            k1 = system.dynamics(0.0, x, now, params=params)
+            k2 = system.dynamics(0.0, x + 0.5 * h * k1, now, params=params)
+            k3 = system.dynamics(0.0, x + 0.5 * h * k2, now, params=params)
+            k4 = system.dynamics(0.0, x + h * k3, now, params=params)
+            x = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+        if not np.isfinite(x).all():
+            break
+    return out
+
+
+def report(verdict, effects=(), fit=None, tried=0, seconds=0.0):
+    """A report of schema `pwaid.mismatch/1` with the fields a baseline can fill."""
+    return {"schema": "pwaid.mismatch/1", "verdict": verdict, "effects": list(effects), "candidates": [],
+            "location": {}, "parameters": {}, "fit": fit or {}, "noise_floor": {}, "next_experiment": "",
+            "warnings": [], "hypotheses_tried": tried, "seconds": round(seconds, 3)}
+
+
+def main(diagnose, description):
+    """Command line of a baseline: `CASE_DIR -o OUT [--without ID …]`; `diagnose(folder, without)` ->
+    report."""
+    parser = argparse.ArgumentParser(description=description)
+    parser.add_argument("case", type=Path)
+    parser.add_argument("-o", "--out", type=Path, required=True)
+    parser.add_argument("--without", action="append", default=[])
+    args = parser.parse_args()
+    start = time.time()
+    result = diagnose(read(args.case), set(args.without))
+    result["seconds"] = round(time.time() - start, 3)
+    args.out.mkdir(parents=True, exist_ok=True)
+    (args.out / "report.json").write_text(json.dumps(result, indent=1), encoding="utf-8")

@@ -1,0 +1,98 @@
+"""Write a set of sealed cases: folders for the tool, a key for the scorer, and the key's hash.
+
+    python generate.py --set calibration --out DIR [--cells rich hard] [--classes single pair …] [--n N]
+    [--key DIR]
+
+The set is deterministic: a case depends on its set, cell, class and index alone. Case names say nothing.
+"""
+
+from __future__ import annotations
+
+import argparse
+import hashlib
+import json
+import sys
+import time
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from concealed import seal
+from concealed.classes import CELLS, CLASSES, CONCEALED, generate, left_out_ids
+from concealed.effects import IDS
+from concealed.write import key_entry, truth_bytes, write_case
+
+SEEDS = {"calibration": 0, "score": 10000}
+SLOT = 380  # seeds per class and cell; 26 slots stay below 10000
+DEFAULT_N = {"single": len(IDS), "left_out": len(IDS), "clean": 40}
+
+
+def seed_of(which, cell, name, index):
+    """Seed of a case; calibration seeds lie in 0–9999, score seeds from 10000 on."""
+    if index >= SLOT:
+        raise ValueError(f"index {index} of class {name}: a class holds at most {SLOT} cases per cell")
+    return SEEDS[which] + (CELLS.index(cell) * len(CLASSES) + CLASSES.index(name)) * SLOT + index
+
+
+def case_name(seed):
+    """A name that tells nothing about the class."""
+    return "case_" + hashlib.sha256(f"concealed {seed}".encode()).hexdigest()[:10]
+
+
+def jobs(which, cells, classes, n):
+    """All (class, cell, index, seed) of a set; the second kind of concealment has one cell of its own."""
+    out = []
+    for name in classes:
+        count = n or DEFAULT_N.get(name, 20)
+        for cell in ("rich",) if name in CONCEALED else cells:
+            out += [(name, cell, i, seed_of(which, cell, name, i)) for i in range(count)]
+    return sorted(out, key=lambda job: case_name(job[3]))
+
+
+def main(argv=None):
+    """Command line."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--set", dest="which", choices=sorted(SEEDS), default="calibration")
+    parser.add_argument("--out", type=Path, required=True, help="folder for the cases")
+    parser.add_argument("--key", type=Path, help="folder for the key, default OUT-key")
+    parser.add_argument("--cells", nargs="+", choices=CELLS, default=list(CELLS))
+    parser.add_argument("--classes", nargs="+", choices=CLASSES, default=list(CLASSES))
+    parser.add_argument("--n", type=int,
+                        help="cases per class and cell, default every id for single, else 20 to 40")
+    args = parser.parse_args(argv)
+    key_folder = args.key or args.out.with_name(args.out.name + "-key")
+    for folder in (args.out, key_folder):
+        if folder.exists() and any(folder.iterdir()):
+            parser.error(f"{folder} is not empty; choose another folder or empty it")
+        folder.mkdir(parents=True, exist_ok=True)
+    (key_folder / "truth").mkdir()
+    start = time.time()
+    entries, runs, missing = {}, {}, []
+    todo = jobs(args.which, args.cells, args.classes, args.n)
+    for count, (name, cell, index, seed) in enumerate(todo):
+        label = case_name(seed)
+        try:
+            case = generate(name, cell, index, seed)
+        except RuntimeError as failure:
+            missing.append(str(failure))
+            continue
+        entry = key_entry(case, name, cell, seed)
+        entry["folder_sha256"] = write_case(case, args.out / label)
+        truth = truth_bytes(case)
+        (key_folder / "truth" / f"{label}.npz").write_bytes(truth)
+        entry["truth_sha256"] = hashlib.sha256(truth).hexdigest()
+        entries[label] = entry
+        runs[label] = left_out_ids(case) if name == "left_out" else []
+        if sys.stderr.isatty():
+            print(f"\r{count + 1}/{len(todo)}", end="", file=sys.stderr)
+    (args.out / "runs.json").write_text(json.dumps(runs, indent=1), encoding="utf-8")
+    key = {"schema": "concealed-key/1", "set": args.which, "cases": entries, "not_found": missing}
+    (key_folder / "key.json").write_text(json.dumps(key, indent=1), encoding="utf-8")
+    sha = seal.seal(key_folder / "key.json", args.out / "key.sha256")
+    result = {"cases": len(entries), "not_found": len(missing), "key_sha256": sha,
+              "seconds": round(time.time() - start, 1)}
+    print("RESULT " + json.dumps(result))
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,188 @@
+"""The smallest λ with a flat solution, between two certified bounds.
+
+With c = Aᵀ(y − A ŷ_aff) (2014 eq. 13–15; (15b) lost its "= 0" in print),
+
+    λmax = min { ‖z‖_∞ : Fᵀz = c } = max { cᵀv : ‖F v‖₁ ≤ 1 }.
+
+Any z that fulfils the equation gives an upper bound, any v a lower one. The linear programme
+
+    minimise λ   subject to Fᵀz = c,  a = λ − z ≥ 0,  b = λ + z ≥ 0
+
+has multipliers v of the equation and p, q ≥ 0 with Fv = p − q, Σ(p + q) = 1: the hinge problem without its loss and
+with λ free. So the engine's interior point method solves it; its Newton system FᵀDF, bordered by the one column
+that belongs to λ, has the same pattern and shares the elimination order. FᵀDF is singular on the affine functions
+and every right-hand side is orthogonal to them, so holding d + 1 vertices in general position by any spring changes
+nothing and makes it definite.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from scipy import linalg
+
+from pwaid.engine import kernels
+from pwaid.engine.interior import SHIFTS, Direction, InteriorState, Operators, Progress, advance
+from pwaid.errors import InputError, SolverError
+from pwaid.problem import HingeProblem
+
+__all__ = ["LambdaMax", "lambda_max"]
+
+# Bounds farther apart than this fraction are an error; between this and tol they are returned (see `width`).
+USELESS = 1e-2
+MAX_ITERATIONS = 60
+STEPS_WITHOUT_GAIN = 8
+# The first λ, as a multiple of the bound that the least-squares z gives.
+FIRST = 1.5
+
+
+class LambdaMax(float):
+    """λmax as a float (its upper bound), with the certified `lower` and `upper` bounds.
+
+    At any λ ≥ `upper` the affine fit is optimal; at any λ < `lower` it is not.
+    """
+
+    lower: float
+    upper: float
+
+    def __new__(cls, lower: float, upper: float) -> LambdaMax:
+        self = super().__new__(cls, upper)
+        self.lower, self.upper = float(lower), float(upper)
+        return self
+
+    def __getnewargs__(self) -> tuple[float, float]:
+        return self.lower, self.upper
+
+    @property
+    def width(self) -> float:
+        """(upper − lower)/upper; 0 when both are 0."""
+        return (self.upper - self.lower) / self.upper if self.upper > 0.0 else 0.0
+
+    def __repr__(self) -> str:
+        return f"LambdaMax({self.upper:.9g}, lower={self.lower:.9g})"
+
+
+def lambda_max(problem: HingeProblem, *, tol: float = 1e-6) -> LambdaMax:
+    """The smallest λ whose solution is affine (2014 eq. 15).
+
+    Parameters
+    ----------
+    problem : HingeProblem
+    tol : float
+        Largest relative distance between the bounds.
+
+    Returns
+    -------
+    LambdaMax
+        A float, the upper bound, with `.lower` and `.upper`; 0.0 when y is affine to rounding.
+
+    Raises
+    ------
+    InputError
+        tol is not in (0, 1).
+    SolverError
+        The bounds did not come within 1 % of each other; between tol and 1 % they are returned as they are.
+    """
+    if not 0.0 < tol < 1.0:
+        raise InputError(f"tol is {tol!r}; expected a relative width between 0 and 1, such as 1e-6")
+    if problem.is_affine:
+        return LambdaMax(0.0, 0.0)
+    affine = problem.affine_basis
+    c = problem.c - affine @ (affine.T @ problem.c)
+    size = float(np.linalg.norm(c))
+    if size == 0.0:
+        return LambdaMax(0.0, 0.0)
+    lower, upper = _bounds(replace(Operators.of(problem), c=c / size), affine, problem.row_norms, tol)
+    if not upper - lower <= USELESS * upper:
+        raise SolverError(
+            f"λmax is only known to lie between {lower * size:.6g} and {upper * size:.6g}; "
+            "normalise the inputs (scaling=), or use a blue-noise mesh"
+        )
+    return LambdaMax(min(lower, upper) * size, upper * size)
+
+
+def _bounds(ops: Operators, affine: np.ndarray, norms: np.ndarray, tol: float) -> tuple[float, float]:
+    """The bounds for ops.c, by interior point iterations until they are within tol."""
+    held = np.zeros(ops.c.size)
+    held[linalg.qr(affine.T, pivoting=True, mode="r")[1][: affine.shape[1]]] = 1.0
+    state, upper = _start(ops, held, 1.0 / norms)
+    lower, idle = 0.0, 0
+    for _ in range(MAX_ITERATIONS):
+        direction = _begin(ops, state, held)
+        if direction is None or not direction.stiffness > 0.0:
+            break
+        progress = advance(direction)
+        state, before = progress.state, upper - lower
+        upper = min(upper, _upper(ops, progress, direction.spring))
+        v = state.v - affine @ (affine.T @ state.v)
+        spent = float(np.abs(ops.F @ v).sum())
+        if np.isfinite(spent) and spent > 0.0:
+            lower = max(lower, float(ops.c @ v) / spent)
+        idle = 0 if upper - lower < 0.99 * before else idle + 1
+        if upper - lower <= tol * upper or idle >= STEPS_WITHOUT_GAIN:
+            break
+    return lower, upper
+
+
+def _factorise(ops: Operators, D: np.ndarray, held: np.ndarray) -> float | None:
+    """Factorise FᵀDF with springs as stiff as its rows at the held vertices; the stiffness, None on breakdown."""
+    spring = float(D @ np.asarray(ops.F.multiply(ops.F).sum(axis=1)).ravel()) / held.size
+    if any(ops.K.factorise(D, shift=shift, diagonal=spring * held) for shift in SHIFTS):
+        return spring
+    return None
+
+
+def _start(ops: Operators, held: np.ndarray, weights: np.ndarray) -> tuple[InteriorState, float]:
+    """v = 0, p = q, and the z of least weighted norm, with λ well above it."""
+    _factorise(ops, weights, held)
+    z = np.zeros_like(weights)
+    for _ in range(2):
+        z += weights * (ops.F @ ops.K.solve(ops.c - ops.FT @ z))
+    upper = float(np.abs(z).max())
+    share = np.full(z.size, 0.5 / z.size)
+    return InteriorState(np.zeros_like(ops.c), share, share.copy(), z, FIRST * upper), upper
+
+
+def _begin(ops: Operators, s: InteriorState, held: np.ndarray) -> _BorderedDirection | None:
+    D = kernels.weights(s.p, s.q, s.nu, s.lam)
+    spring = _factorise(ops, D, held)
+    return None if spring is None else _BorderedDirection(ops, s, D, spring)
+
+
+def _upper(ops: Operators, progress: Progress, spring: float) -> float:
+    """‖z‖_∞ after z was made to fulfil Fᵀz = c by solves with the last factorisation."""
+    z = progress.state.nu
+    for _ in range(2):
+        z = z + progress.weights * (ops.F @ ops.K.solve(ops.c - ops.FT @ z))
+    return float(np.abs(z).max())
+
+
+class _BorderedDirection(Direction):
+    """A direction in which λ moves too: Σ(p + q) = 1 closes the system."""
+
+    def __init__(self, ops: Operators, s: InteriorState, D: np.ndarray, spring: float):
+        super().__init__(ops, s, D)
+        self.spring = spring
+        pa, qb = s.p / (s.lam - s.nu), s.q / (s.lam + s.nu)
+        self.e = pa - qb
+        self.v_lam = ops.K.solve(ops.FT @ (D * self.e))
+        self.z_lam = D * (self.e - ops.F @ self.v_lam)
+        self.stiffness = float((pa + qb).sum() - self.e @ self.z_lam)
+
+    def residuals(self) -> tuple[np.ndarray, np.ndarray]:
+        ops, s = self.ops, self.state
+        return ops.c - ops.FT @ s.nu, s.p - s.q - ops.F @ s.v
+
+    def add(self, ra, rb, rd=None, rp=None) -> None:
+        ops, s = self.ops, self.state
+        missing = 0.0 if rd is None else 1.0 - float(s.p.sum() + s.q.sum())
+        g = kernels.reduce(self.D, np.zeros_like(ra) if rp is None else rp, ra, rb, s.nu, s.lam)
+        right = ops.FT @ g
+        v = ops.K.solve(right if rd is None else rd + right)
+        z = self.D * (ops.F @ v) - g
+        drive = float((ra / (s.lam - s.nu) + rb / (s.lam + s.nu)).sum() + self.e @ z) - missing
+        dlam = drive / self.stiffness
+        self.dv += v - dlam * self.v_lam
+        self.dlam += dlam
+        kernels.expand(z + dlam * self.z_lam, dlam, ra, rb, s.p, s.q, s.nu, s.lam, self.dnu, self.dp, self.dq)
