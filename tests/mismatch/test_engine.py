@@ -73,7 +73,7 @@ def test_every_effect_vanishes_towards_its_neutral_value():
     for located in locate_effects(CATALOGUE, structure()):
         if located.effect.id in skip or not located.effect.quantities:
             continue
-        tiny = [i == 0 or q.size.startswith("force") or q.name == "load_factor"
+        tiny = [i == 0 or q.size.startswith("force") or q.name in ("load_factor", "load_share")
                 for i, q in enumerate(located.effect.quantities)]
         multiples = [(q.probes[0] if q.probes else 1.0) * (1e-6 if small else 1.0)
                      for q, small in zip(located.effect.quantities, tiny, strict=True)]

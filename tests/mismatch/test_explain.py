@@ -86,7 +86,17 @@ def test_a_right_simulator_agrees(clean_recordings):
 
 def test_every_id_of_the_contract_is_in_the_catalogue():
     ids = {row["id"] for row in effects_table()}
-    wanted = ["coulomb_friction", "asymmetric_coulomb_friction", "stribeck_friction", "presliding_friction", "load_dependent_friction", "viscous_friction", "asymmetric_viscous_friction", "quadratic_drag", "linear_stiffness", "cubic_stiffness", "quadratic_stiffness", "gravity_torque", "position_ripple", "end_stop", "hysteretic_spring", "backlash", "compliance", "missing_inertia", "coriolis_torque", "actuator_saturation", "actuator_rate_limit", "actuator_deadzone", "input_play", "actuator_gain_asymmetry", "constant_load", "actuator_lag", "input_delay", "sensor_saturation", "sensor_rectification", "sensor_quantization", "sensor_offset", "sensor_lag", "sensor_nonlinearity", "square_root_outflow", "head_offset", "leakage", "overflow", "radiation", "second_thermal_mass", "periodic_disturbance", "sensor_drift", "parameter_drift"]
+    wanted = [
+        "coulomb_friction", "asymmetric_coulomb_friction", "stribeck_friction", "presliding_friction",
+        "load_dependent_friction", "viscous_friction", "asymmetric_viscous_friction", "quadratic_drag",
+        "linear_stiffness", "cubic_stiffness", "quadratic_stiffness", "gravity_torque", "position_ripple",
+        "end_stop", "hysteretic_spring", "backlash", "compliance", "missing_inertia", "coriolis_torque",
+        "actuator_saturation", "actuator_rate_limit", "actuator_deadzone", "input_play",
+        "actuator_gain_asymmetry", "constant_load", "actuator_lag", "input_delay", "sensor_saturation",
+        "sensor_rectification", "sensor_quantization", "sensor_offset", "sensor_lag", "sensor_nonlinearity",
+        "square_root_outflow", "head_offset", "leakage", "overflow", "radiation", "second_thermal_mass",
+        "periodic_disturbance", "sensor_drift", "parameter_drift",
+    ]
     assert set(wanted) <= ids
 
 

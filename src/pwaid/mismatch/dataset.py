@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -9,7 +10,6 @@ import numpy as np
 
 from pwaid.errors import InputError
 from pwaid.recording import Recording
-import itertools
 
 __all__ = ["Dataset"]
 

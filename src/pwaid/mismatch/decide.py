@@ -9,6 +9,7 @@ nested laws. The thresholds of `Thresholds` were set on calibration cases and ar
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -17,7 +18,6 @@ import numpy as np
 from pwaid.mismatch.hypotheses import Hypothesis, floor_square, mean_square
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.vetoes import veto
-import itertools
 
 __all__ = ["Decision", "Thresholds", "decide", "errors_by_recording"]
 

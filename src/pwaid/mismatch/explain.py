@@ -139,7 +139,8 @@ def _check_sizes(plant, recordings):
     _, nu, ny = plant.sizes
     for r in recordings:
         if r.inputs.shape[1] != nu:
-            raise InputError(f"{r.name} has {r.inputs.shape[1]} inputs, the simulator {nu}; give the simulator's inputs")
+            raise InputError(f"{r.name} has {r.inputs.shape[1]} inputs, the simulator {nu}; "
+                             "give the simulator's inputs")
         if r.outputs.shape[1] != ny:
             raise InputError(f"{r.name} has {r.outputs.shape[1]} outputs, the simulator {ny}; "
                              "give the simulator's outputs")

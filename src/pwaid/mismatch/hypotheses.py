@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -12,7 +13,6 @@ from pwaid.mismatch.fit import Fit, fit_model
 from pwaid.mismatch.model import Located, Model
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.screen import Screened, run_jobs, screen
-import itertools
 
 __all__ = ["Hypothesis", "fit_pairs", "fit_shortlist", "floor_square", "mean_square", "null_hypothesis",
            "share"]

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from scipy.stats import t as student
 
 from pwaid.mismatch.fit import Fit, jacobian
 from pwaid.mismatch.nullfit import Problem
-import itertools
 
 __all__ = ["covariance", "parameter_intervals"]
 

@@ -1,13 +1,13 @@
-"""Where the mismatch sits: channel, variables, time, frequency (placeholder order of magnitude from the residual)."""
+"""Where the mismatch sits in time and in frequency, from the residual of the refitted simulator."""
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from pwaid.mismatch.nullfit import Problem
-import itertools
 
 __all__ = ["Location", "bands", "intervals", "locate"]
 

@@ -129,7 +129,7 @@ def _growth(plant: Plant, states, inputs) -> float:
 
 
 def _substeps(model: Model, theta, X0, data: Dataset) -> int:
-    """Substeps per sample for which halving the step changes the outputs by less than the noise, or 1e-4 of their range."""
+    """Substeps per sample for which halving the step changes the outputs by less than the noise."""
     if model.settings.plant.dt:
         return 1
     span = np.ptp(data.Y, axis=0) + 1e-12

@@ -96,7 +96,8 @@ def repaired_source(hypothesis: Hypothesis, sample_time: float, simulator_source
               f"DISCRETE = {bool(s.plant.dt)}", f"EXTRA_STATES = {model.extra}",
               f"FITTED_PARAMETERS = {refitted!r}", f"SPEED_OF = {s.partner.tolist()}",
               f"SPEED_RATIO = {s.ratio.tolist()}",
-              "MISSING_PHYSICS = [  # law, where it acts, parameters, dry friction?, start of its memory, delay (s)", *effects,
+              "MISSING_PHYSICS = [  # law, where it acts, parameters, dry friction?, start of its memory, delay (s)",
+              *effects,
               "]", _LOOP]
     if simulator_source is not None:
         lines += [_BUILD]

@@ -169,7 +169,7 @@ def build_report(problem: Problem, null, singles, pairs, screened, decision: Dec
     content = {
         "schema": "pwaid.mismatch/1", "verdict": decision.verdict, "effects": effects,
         "candidates": _candidates(problem, [*singles, *pairs], decision.passed, names),
-        "location": _location(location, best if decision.members else None),
+        "location": _location(location, best if decision.members else None, screened),
         "parameters": parameters,
         "fit": fit_table(problem.test, names, stages),
         "fit_train": fit_table(problem.train, names, {"nominal": problem.nominal.Y, "refitted": null.fit.Y,
@@ -187,16 +187,18 @@ def build_report(problem: Problem, null, singles, pairs, screened, decision: Dec
     return Report(_clean(content), problem, null, decision, tuple(singles), tuple(pairs), location)
 
 
-def _location(location: Location, best) -> dict:
+def _location(location: Location, best, screened) -> dict:
+    """Channel and variables of the named effect; of the candidate most like the residual when nothing is named."""
     channel, variables = location.channel, location.variables
+    if best is None and screened and screened[0].score > 0:
+        channel, variables = screened[0].located.place.channel, screened[0].located.place.variables
     if best is not None and best.located:
         channel = best.located[0].place.channel
         variables = tuple(dict.fromkeys(v for e in best.located for v in e.place.variables))
     return {"channel": channel, "variables": list(variables), "breakpoints": location.breakpoints,
             "memory": location.memory or bool(best and any(e.effect.memory for e in best.located)),
             "intervals_s": [list(i) for i in location.intervals_s],
-            "bands_hz": [list(b) for b in location.bands_hz],
-            "unknown_input": location.channel, "unknown_input_variables": list(location.variables)}
+            "bands_hz": [list(b) for b in location.bands_hz]}
 
 
 def _collinear(h: Hypothesis, correlation) -> list[str]:
@@ -217,7 +219,8 @@ def write_report(report: Report, out: Path, simulator_source: str) -> None:
         for name, v in e["parameters"].items():
             rows.append(f"{e['id']}.{name} = {v['value']:.6g} {v['unit']}  (90 %: {v['low']:.4g} to {v['high']:.4g})")
     for name, v in report.content["parameters"].items():
-        rows.append(f"{name} = {v['refitted']:.6g}  (nominal {v['nominal']:.6g}; 90 %: {v['low']:.4g} to {v['high']:.4g})")
+        rows.append(f"{name} = {v['refitted']:.6g}  (nominal {v['nominal']:.6g}; "
+                    f"90 %: {v['low']:.4g} to {v['high']:.4g})")
     from pwaid.mismatch.html import html_page
 
     files = {"report.json": json.dumps(report.content, indent=1, allow_nan=False),
