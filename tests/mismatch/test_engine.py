@@ -71,8 +71,8 @@ def test_every_effect_vanishes_towards_its_neutral_value():
     skip = ("sensor_rectification", "actuator_saturation", "actuator_rate_limit", "end_stop", "overflow",
             "sensor_saturation")  # their neutral value is at the far end
     for located in locate_effects(CATALOGUE, structure()):
-        if located.effect.id in skip or not located.effect.quantities:
-            continue
+        if located.effect.id in skip or not located.effect.quantities or located.place.note == "load side measured":
+            continue  # behind a spring, the measured side moves however light the load is
         tiny = [i == 0 or q.size.startswith("force") or q.name in ("load_factor", "load_share")
                 for i, q in enumerate(located.effect.quantities)]
         multiples = [(q.probes[0] if q.probes else 1.0) * (1e-6 if small else 1.0)
