@@ -13,8 +13,8 @@ from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.effects.registry import CATALOGUE
 from pwaid.mismatch.model import Model, Settings
 from pwaid.mismatch.plant import as_plant
+from pwaid.mismatch.probing import find_structure
 from pwaid.mismatch.screen import locate_effects
-from pwaid.mismatch.structure import find_structure
 
 DATA = Dataset.from_recordings([record(1, samples=200)])
 PLANT = as_plant(oscillator())

@@ -19,7 +19,7 @@ from pwaid.mismatch.hypotheses import Hypothesis, floor_square, mean_square
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.vetoes import veto
 
-__all__ = ["Decision", "Thresholds", "decide", "errors_by_recording"]
+__all__ = ["Decision", "Thresholds", "at_floor", "decide", "errors_by_recording"]
 
 
 @dataclass(frozen=True)
@@ -120,7 +120,7 @@ def decide(problem: Problem, null: Hypothesis, singles: Sequence[Hypothesis], pa
     share = t.share if problem.floor.trusted else t.share_tentative
     passed = [h for h in singles if _passes(problem, h, null, share)]
     passed = _judge(passed, reasons)
-    if _quiet(problem, t):
+    if at_floor(problem, t):
         reasons.append("the refitted simulator is at the noise floor on the held-out recordings")
         return Decision(_agreement_or_parameters(problem, t), null, (), (), tuple(reasons))
     best = min(passed, key=_score, default=None)
@@ -167,7 +167,7 @@ def _judge(passed, reasons):
     return kept
 
 
-def _quiet(problem, t) -> bool:
+def at_floor(problem, t) -> bool:
     """Nothing material: every output's held-out error is at the floor, or a trifle of the output itself."""
     mean = np.mean((problem.test.Y - problem.null_test.Y) ** 2, axis=0)
     floor = np.maximum(problem.floor.level, t.trifle * np.std(problem.train.Y, axis=0)) ** 2

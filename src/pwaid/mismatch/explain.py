@@ -15,7 +15,7 @@ import numpy as np
 from pwaid.errors import InputError
 from pwaid.mismatch.case import load_case
 from pwaid.mismatch.dataset import Dataset
-from pwaid.mismatch.decide import Thresholds, decide
+from pwaid.mismatch.decide import Thresholds, at_floor, decide
 from pwaid.mismatch.effects.registry import CATALOGUE, effect_by_id
 from pwaid.mismatch.hygiene import hygiene
 from pwaid.mismatch.hypotheses import fit_pairs, fit_shortlist, floor_square, null_hypothesis
@@ -110,6 +110,8 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
     null = null_hypothesis(problem)
     screened = screen(problem, problem.null, located, jobs)
     chosen = shortlist(screened)
+    if at_floor(problem, thresholds or Thresholds()):
+        chosen = chosen[:3]  # nothing to explain: the best few are fitted so that the report can show them
     say(0.3, f"fitting {len(chosen)} candidates")
     singles = fit_shortlist(problem, chosen, jobs)
     pairs = []

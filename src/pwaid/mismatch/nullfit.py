@@ -14,7 +14,8 @@ from pwaid.mismatch.fit import Fit, fit_model, fit_starts
 from pwaid.mismatch.floor import Floor, estimate_floor, white_level
 from pwaid.mismatch.model import LIMIT, Model, Settings
 from pwaid.mismatch.plant import Plant
-from pwaid.mismatch.structure import Structure, find_structure
+from pwaid.mismatch.probing import find_structure
+from pwaid.mismatch.structure import Structure
 
 __all__ = ["Problem", "first_states", "prepare"]
 
