@@ -39,7 +39,8 @@ def identify(u, y):
     first = np.linalg.lstsq(rows(y), y[start:], rcond=None)[0]
 
     def error(theta):
-        simulated = lfilter(np.concatenate([np.zeros(DELAY), theta[n:]]), np.concatenate([[1.0], theta[:n]]), u)
+        simulated = lfilter(np.concatenate([np.zeros(DELAY), theta[n:]]), np.concatenate([[1.0], theta[:n]]),
+                            u)
         return np.clip((y - simulated)[20:], -1e3, 1e3)
 
     theta = least_squares(error, first).x
@@ -89,7 +90,8 @@ def main() -> None:
     if not path.is_file():
         raise InputError(f"{path} does not exist; set PWAID_DATA to the folder that holds hair_dryer/")
     raw = loadmat(path)
-    table = next(np.asarray(v, dtype=float) for k, v in raw.items() if not k.startswith("__") and np.asarray(v).size > 1000)
+    table = next(np.asarray(v, dtype=float) for k,
+                 v in raw.items() if not k.startswith("__") and np.asarray(v).size > 1000)
     u, y = table[:, -2], table[:, -1]
     u, y = u - u[:600].mean(), y - y[:600].mean()
     a, b = identify(u[:600], y[:600])
@@ -97,12 +99,14 @@ def main() -> None:
     units = {"heater": "V", "temperature": "V"}
 
     def rec(first, last, name):
-        return Recording(t[:last - first], u[first:last, None], y[first:last, None], ("heater",), ("temperature",),
+        return Recording(t[:last - first], u[first:last, None], y[first:last, None], ("heater",),
+                         ("temperature",),
                          units, name=name)
 
     out = args.save or Path(tempfile.mkdtemp(prefix="pwaid_hair_dryer_"))
     case = write_case(out / "case", simulator_text(a, b),
-                      {"train_0.csv": rec(0, 300, "train_0.csv"), "train_1.csv": rec(300, 600, "train_1.csv")},
+                      {"train_0.csv": rec(0, 300, "train_0.csv"),
+                       "train_1.csv": rec(300, 600, "train_1.csv")},
                       {"test.csv": rec(600, 1000, "test.csv")}, ["gain"])
     report = explain_case(case, out / "explained", jobs=args.jobs)
     print(report.summary)
@@ -110,7 +114,8 @@ def main() -> None:
     print("RESULT " + json.dumps({
         "verdict": report.verdict, "effects": [e["id"] for e in report.effects],
         "error_nominal": stages["nominal"]["rmse"], "error_refitted": stages["refitted"]["rmse"],
-        "error_repaired": stages["repaired"]["rmse"], "seconds": report.content["seconds"], "case": str(case)}))
+        "error_repaired": stages["repaired"]["rmse"], "seconds": report.content["seconds"],
+        "case": str(case)}))
 
 
 if __name__ == "__main__":

@@ -56,7 +56,8 @@ def main() -> None:
     raw = loadmat(path)
     t = np.arange(raw["uEst"].size) * float(raw["Ts"].squeeze())
     units = {"pump": "V", "level": "V"}
-    records = {f"{name}.csv": Recording(t, raw[f"u{key}"].reshape(-1, 1), raw[f"y{key}"].reshape(-1, 1), ("pump",),
+    records = {f"{name}.csv": Recording(t, raw[f"u{key}"].reshape(-1, 1), raw[f"y{key}"].reshape(-1, 1),
+                                        ("pump",),
                                         ("level",), units, name=f"{name}.csv")
                for name, key in (("estimation", "Est"), ("validation", "Val"))}
     out = args.save or Path(tempfile.mkdtemp(prefix="pwaid_tanks_"))
@@ -68,7 +69,8 @@ def main() -> None:
     print("RESULT " + json.dumps({
         "verdict": report.verdict, "effects": [e["id"] for e in report.effects],
         "error_nominal": stages["nominal"]["rmse"], "error_refitted": stages["refitted"]["rmse"],
-        "error_repaired": stages["repaired"]["rmse"], "seconds": report.content["seconds"], "case": str(case)}))
+        "error_repaired": stages["repaired"]["rmse"], "seconds": report.content["seconds"],
+        "case": str(case)}))
 
 
 if __name__ == "__main__":

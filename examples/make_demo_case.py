@@ -61,7 +61,8 @@ def record(rng, name: str, samples: int = 1500, sample_time: float = 0.01, fine:
             theta += 0.5 * h * (omega + new)
             omega = new
     y += 0.5e-3 * rng.normal(size=samples)
-    return Recording(t, torque[:, None], y[:, None], ("torque",), ("theta",), {"torque": "N m", "theta": "rad"},
+    return Recording(t, torque[:, None], y[:, None], ("torque",), ("theta",),
+                     {"torque": "N m", "theta": "rad"},
                      name=name)
 
 
@@ -74,7 +75,8 @@ def main() -> None:
     train = {f"train_{i}.csv": record(rng, f"train_{i}.csv") for i in range(2)}
     test = {"test_2.csv": record(rng, "test_2.csv")}
     write_case(args.folder, SIMULATOR, train, test, ["J", "b", "k"])
-    print("RESULT " + json.dumps({"recordings": 3, "bytes": sum(p.stat().st_size for p in args.folder.iterdir())}))
+    print("RESULT " + json.dumps({"recordings": 3,
+                                  "bytes": sum(p.stat().st_size for p in args.folder.iterdir())}))
 
 
 if __name__ == "__main__":

@@ -52,7 +52,8 @@ def line_of(entry: dict, report: dict) -> str:
     truth = "+".join(truth_of(entry)) or "-"
     got = "+".join(e["id"] for e in report["effects"]) or "-"
     best = [f"{c['where']} {c['share_explained'] or 0:.3f}" for c in report["candidates"][:3]]
-    return (f"{entry.get('class', ''):18s} {entry.get('plant', ''):24s} want {WANTED.get(entry['class'], 'named'):15s} {truth:32s} "
+    wanted = WANTED.get(entry["class"], "named")
+    return (f"{entry.get('class', ''):18s} {entry.get('plant', ''):24s} want {wanted:15s} {truth:32s} "
             f"got {report['verdict']:15s} {got:40s} {report['seconds']:5.0f} s | " + "; ".join(best))
 
 

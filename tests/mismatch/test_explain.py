@@ -72,26 +72,31 @@ def _repaired_file_runs(tmp_path, report, recording):
 
 
 def test_parameter_errors_alone_are_called_that(clean_recordings):
-    report = explain(oscillator(), clean_recordings[:2], clean_recordings[2:], FREE, without=("position_ripple",))
+    report = explain(oscillator(), clean_recordings[:2], clean_recordings[2:], FREE,
+                     without=("position_ripple",))
     assert report.verdict == "parameters_only"
     assert report.effects == []
 
 
 def test_a_right_simulator_agrees(clean_recordings):
-    report = explain(oscillator(**TRUE), clean_recordings[:2], clean_recordings[2:], FREE, without=("position_ripple",))
+    report = explain(oscillator(**TRUE), clean_recordings[:2], clean_recordings[2:], FREE,
+                     without=("position_ripple",))
     assert report.verdict == "agreement"
 
 
 def test_every_id_of_the_contract_is_in_the_catalogue():
     ids = {row["id"] for row in effects_table()}
-    wanted = """coulomb_friction asymmetric_coulomb_friction stribeck_friction presliding_friction
-        load_dependent_friction viscous_friction asymmetric_viscous_friction quadratic_drag linear_stiffness
-        cubic_stiffness quadratic_stiffness gravity_torque position_ripple end_stop hysteretic_spring backlash
-        compliance missing_inertia coriolis_torque actuator_saturation actuator_rate_limit actuator_deadzone
-        input_play actuator_gain_asymmetry constant_load actuator_lag input_delay sensor_saturation
-        sensor_rectification sensor_quantization sensor_offset sensor_lag sensor_nonlinearity square_root_outflow
-        head_offset leakage overflow radiation second_thermal_mass periodic_disturbance sensor_drift
-        parameter_drift""".split()
+    wanted = [
+        "coulomb_friction", "asymmetric_coulomb_friction", "stribeck_friction", "presliding_friction",
+        "load_dependent_friction", "viscous_friction", "asymmetric_viscous_friction", "quadratic_drag",
+        "linear_stiffness", "cubic_stiffness", "quadratic_stiffness", "gravity_torque", "position_ripple",
+        "end_stop", "hysteretic_spring", "backlash", "compliance", "missing_inertia", "coriolis_torque",
+        "actuator_saturation", "actuator_rate_limit", "actuator_deadzone", "input_play",
+        "actuator_gain_asymmetry", "constant_load", "actuator_lag", "input_delay", "sensor_saturation",
+        "sensor_rectification", "sensor_quantization", "sensor_offset", "sensor_lag", "sensor_nonlinearity",
+        "square_root_outflow", "head_offset", "leakage", "overflow", "radiation", "second_thermal_mass",
+        "periodic_disturbance", "sensor_drift", "parameter_drift",
+    ]
     assert set(wanted) <= ids
 
 
@@ -99,7 +104,8 @@ def test_every_id_of_the_contract_is_in_the_catalogue():
     (lambda f: (f / "train.csv").unlink(), "does not exist"),
     (lambda f: _edit(f, 'x = "m"', 'x = "furlong"'), "unknown unit"),
     (lambda f: _edit(f, 'test = ["test.csv"]', 'test = ["train.csv"]'), "listed as training and as test"),
-    (lambda f: _edit(f, 'free_parameters = ["m", "b", "k"]', 'free_parameters = ["mass"]'), "not a parameter"),
+    (lambda f: _edit(f, 'free_parameters = ["m", "b", "k"]', 'free_parameters = ["mass"]'),
+     "not a parameter"),
     (lambda f: _edit(f, 'F = "N"', 'F = "N"\nG = "N"'), "has 1 inputs, case.toml lists 2"),
     (lambda f: (f / "simulator.py").write_text("1/0"), "ZeroDivisionError"),
     (lambda f: (f / "simulator.py").write_text("x = 1"), "no build"),

@@ -25,7 +25,8 @@ def oscillator(**changes):
     return control.nlsys(update, output, inputs=["F"], outputs=["x"], states=["x", "v"], params=params)
 
 
-def record(seed: int, level: float = 0.0, samples: int = 900, dt: float = 0.02, noise: float = 2e-3, fine: int = 20):
+def record(seed: int, level: float = 0.0, samples: int = 900, dt: float = 0.02, noise: float = 2e-3,
+           fine: int = 20):
     """A multisine recording of the true oscillator with Coulomb friction of the given level, exact at rest."""
     rng = np.random.default_rng(seed)
     t = np.arange(samples) * dt

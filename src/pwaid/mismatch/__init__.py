@@ -13,5 +13,6 @@ from pwaid.mismatch.effects.base import Effect, Place, Quantity
 from pwaid.mismatch.explain import explain, explain_case
 from pwaid.mismatch.report import Report
 
-__all__ = ["Effect", "Place", "Quantity", "Report", "Thresholds", "demo_case_path", "effects_table", "explain",
+__all__ = ["Effect", "Place", "Quantity", "Report", "Thresholds", "demo_case_path", "effects_table",
+           "explain",
            "explain_case", "register"]

@@ -20,7 +20,8 @@ from pwaid.recording import Recording
 
 __all__ = ["Case", "load_case", "write_case"]
 
-_KEYS = {"simulator", "time", "train", "test", "free_parameters", "inputs", "outputs", "noise_floor", "repeats", "hold",
+_KEYS = {"simulator", "time", "train", "test", "free_parameters", "inputs", "outputs", "noise_floor",
+         "repeats", "hold",
          "controller", "tolerances", "closed_loop", "name", "title", "description"}
 _serial = itertools.count()
 
@@ -99,7 +100,8 @@ def load_case(folder) -> Case:
     return Case(plant, tuple(read(n) for n in train), tuple(read(n) for n in test),
                 None if free is None else tuple(free), tuple(inputs.values()), tuple(outputs.values()), floor,
                 tuple(tuple(g) for g in table.get("repeats", [])), hold == "first",
-                bool(table.get("controller") or table.get("closed_loop")), dict(table.get("tolerances", {})), source)
+                bool(table.get("controller") or table.get("closed_loop")), dict(table.get("tolerances", {})),
+                source)
 
 
 def _load_simulator(path: Path, inputs, outputs) -> tuple[Plant, str]:
@@ -135,6 +137,10 @@ def _load_simulator(path: Path, inputs, outputs) -> tuple[Plant, str]:
     return plant, source
 
 
+def _quote(names) -> str:
+    return "[" + ", ".join(f'"{n}"' for n in names) + "]"
+
+
 def write_case(folder, simulator_source: str, train: Mapping[str, Recording], test: Mapping[str, Recording],
                free_parameters=(), noise_floor: Mapping[str, float] | None = None, extra: str = "") -> Path:
     """Write a case folder; the inverse of `load_case`, used by the examples."""
@@ -144,11 +150,11 @@ def write_case(folder, simulator_source: str, train: Mapping[str, Recording], te
     first = next(iter(train.values()))
     for name, rec in {**train, **test}.items():
         header = ",".join(["t", *rec.input_names, *rec.output_names])
-        np.savetxt(folder / name, np.column_stack([rec.time, rec.inputs, rec.outputs]), fmt="%.9g", delimiter=",",
+        np.savetxt(folder / name, np.column_stack([rec.time, rec.inputs, rec.outputs]), fmt="%.9g",
+                   delimiter=",",
                    header=header, comments="")
-    quote = lambda names: "[" + ", ".join(f'"{n}"' for n in names) + "]"  # noqa: E731
-    lines = ['simulator = "simulator.py"', 'time = "t"', f"train = {quote(train)}", f"test = {quote(test)}",
-             f"free_parameters = {quote(free_parameters)}"]
+    lines = ['simulator = "simulator.py"', 'time = "t"', f"train = {_quote(train)}", f"test = {_quote(test)}",
+             f"free_parameters = {_quote(free_parameters)}"]
     if noise_floor:
         lines.append("noise_floor = { " + ", ".join(f"{k} = {v:g}" for k, v in noise_floor.items()) + " }")
     lines += [extra] if extra else []

@@ -61,9 +61,11 @@ class _Positions(ast.NodeTransformer):
         targets, value = node.targets[0].elts, node.value
         if isinstance(value, ast.Name) and value.id in self.arrays:
             return [
-                ast.Assign([t], ast.Subscript(value, ast.Constant(i), ast.Load())) for i, t in enumerate(targets)
+                ast.Assign([t], ast.Subscript(value, ast.Constant(i), ast.Load())) for i,
+                t in enumerate(targets)
             ]
-        if (isinstance(value, ast.Subscript) and isinstance(value.value, ast.Name) and value.value.id in self.arrays
+        if (isinstance(value, ast.Subscript) and isinstance(value.value, ast.Name)
+            and value.value.id in self.arrays
                 and isinstance(value.slice, ast.Slice) and value.slice.step is None):
             low = value.slice.lower.value if isinstance(value.slice.lower, ast.Constant) else 0
             return [
@@ -178,7 +180,8 @@ def _verify(original, compiled, size, nx, nu, parameters, scales):
         p = values * rng.uniform(0.9, 1.1, values.size)
         with np.errstate(all="ignore"):
             try:
-                want = np.asarray(original(t, x, u, dict(zip(parameters, p, strict=True))), dtype=float).ravel()
+                want = np.asarray(original(t, x, u, dict(zip(parameters, p, strict=True))),
+                                  dtype=float).ravel()
             except (ValueError, ZeroDivisionError, OverflowError):
                 continue  # outside the function's domain: nothing to compare there
         got = np.empty(size)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
@@ -47,7 +48,7 @@ class Dataset:
                 raise InputError(f"{r.name} has the channels {r.names} and {first.name} {first.names}; "
                                  "expected the same channels in the same order")
         bounds = np.cumsum([0] + [len(r.time) for r in recordings])
-        rows = [(a, b, a, b) for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+        rows = [(a, b, a, b) for a, b in itertools.pairwise(bounds)]
         return cls(tuple(r.name for r in recordings),
                    np.ascontiguousarray(np.vstack([r.inputs for r in recordings])),
                    np.ascontiguousarray(np.vstack([r.outputs for r in recordings])),
@@ -64,7 +65,7 @@ class Dataset:
         for a, b in self.recordings:
             pieces = max(1, round((b - a) / samples))
             edges = np.linspace(a, b, pieces + 1).astype(np.int64)
-            rows += [(i, j, a, b) for i, j in zip(edges[:-1], edges[1:], strict=True)]
+            rows += [(i, j, a, b) for i, j in itertools.pairwise(edges)]
         return replace(self, segments=np.array(rows, dtype=np.int64))
 
     def part(self, which: Sequence[int]) -> Dataset:

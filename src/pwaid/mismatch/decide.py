@@ -9,6 +9,7 @@ nested laws. The thresholds of `Thresholds` were set on calibration cases and ar
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -18,7 +19,7 @@ from pwaid.mismatch.hypotheses import Hypothesis, floor_square, mean_square
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.vetoes import veto
 
-__all__ = ["Decision", "Thresholds", "decide", "errors_by_recording"]
+__all__ = ["Decision", "Thresholds", "at_floor", "decide", "errors_by_recording"]
 
 
 @dataclass(frozen=True)
@@ -61,7 +62,7 @@ def _blocks(problem: Problem, Y, data, count: int = 24):
     parts = []
     for a, b in data.recordings:
         edges = np.linspace(a, b, max(4, count // len(data.recordings)) + 1).astype(int)
-        parts += [r[i:j].sum() for i, j in zip(edges[:-1], edges[1:], strict=True)]
+        parts += [r[i:j].sum() for i, j in itertools.pairwise(edges)]
     return np.array(parts)
 
 
@@ -119,7 +120,7 @@ def decide(problem: Problem, null: Hypothesis, singles: Sequence[Hypothesis], pa
     share = t.share if problem.floor.trusted else t.share_tentative
     passed = [h for h in singles if _passes(problem, h, null, share)]
     passed = _judge(passed, reasons)
-    if _quiet(problem, t):
+    if at_floor(problem, t):
         reasons.append("the refitted simulator is at the noise floor on the held-out recordings")
         return Decision(_agreement_or_parameters(problem, t), null, (), (), tuple(reasons))
     best = min(passed, key=_score, default=None)
@@ -166,7 +167,7 @@ def _judge(passed, reasons):
     return kept
 
 
-def _quiet(problem, t) -> bool:
+def at_floor(problem, t) -> bool:
     """Nothing material: every output's held-out error is at the floor, or a trifle of the output itself."""
     mean = np.mean((problem.test.Y - problem.null_test.Y) ** 2, axis=0)
     floor = np.maximum(problem.floor.level, t.trifle * np.std(problem.train.Y, axis=0)) ** 2
@@ -187,7 +188,8 @@ def predicted_by_input(problem, lags: int = 12) -> float:
         for a, b in data.recordings:
             U = data.U[a:b]
             step = max(1, int(problem.structure.time_scale / data.sample_time / 3))
-            shifted = [np.vstack([np.repeat(U[:1], min(k * step, len(U)), axis=0), U[:max(len(U) - k * step, 0)]])
+            shifted = [np.vstack([np.repeat(U[:1], min(k * step, len(U)), axis=0),
+                                  U[:max(len(U) - k * step, 0)]])
                        for k in range(lags)]
             V = np.hstack(shifted)
             rows.append(np.hstack([V, V**2]))
@@ -201,7 +203,8 @@ def predicted_by_input(problem, lags: int = 12) -> float:
     r, s = problem.train.Y - problem.null.Y, problem.test.Y - problem.null_test.Y
     w = np.linalg.solve(P.T @ P + 1e-3 * len(P) * np.eye(P.shape[1]), P.T @ (r - r.mean(0)))
     left = s - r.mean(0) - Q @ w
-    return float(np.max(1 - np.mean(left**2, axis=0) / np.maximum(np.mean((s - r.mean(0)) ** 2, axis=0), 1e-300)))
+    return float(np.max(1 - np.mean(left**2, axis=0) / np.maximum(np.mean((s - r.mean(0)) ** 2, axis=0),
+                                                                  1e-300)))
 
 
 def _passing_pairs(problem, null, singles, pairs, share, t, reasons):
@@ -241,8 +244,10 @@ def _inside(small: Hypothesis, large: Hypothesis) -> bool:
     left = list(large.located)
     swapped = 0
     for e in small.located:
-        same = next((f for f in left if f.effect.id == e.effect.id and f.place.signal == e.place.signal), None)
-        wider = next((f for f in left if e.effect.id in f.effect.contains and f.place.signal == e.place.signal), None)
+        same = next((f for f in left if f.effect.id == e.effect.id and f.place.signal == e.place.signal),
+                    None)
+        wider = next((f for f in left if e.effect.id in f.effect.contains
+                      and f.place.signal == e.place.signal), None)
         if same is None and wider is None:
             return False
         left.remove(same if same is not None else wider)
@@ -289,7 +294,8 @@ def _name(problem, best, passed, t, rng, reasons) -> Decision:
 
 def _agreement_or_parameters(problem: Problem, t: Thresholds) -> str:
     """Parameters only when the nominal simulator is worse than the refitted one beyond the noise."""
-    before = float(np.mean(np.clip((problem.test.Y - problem.nominal_test.Y) / problem.sigma, -1e3, 1e3) ** 2))
+    before = float(np.mean(np.clip((problem.test.Y - problem.nominal_test.Y) / problem.sigma, -1e3,
+                                   1e3) ** 2))
     after = mean_square(problem, problem.null_test, problem.test)
     moved = np.any(np.abs(np.expm1(problem.null.theta[:problem.null.model.np])) > t.moved)
     return "parameters_only" if before > 1.05 * after and moved else "agreement"

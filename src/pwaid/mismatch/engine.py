@@ -48,7 +48,8 @@ def idle(phase, t, h, x, xs, u, p, dx, ii, q):
 
 
 @njit(
-    types.void(RHS_TYPE, EFFECT_TYPE, EFFECT_TYPE, EFFECT_TYPE, i8, i8, f8, f8, _V, _V, _V, _V, i8[:, ::1], f8[:, ::1],
+    types.void(RHS_TYPE, EFFECT_TYPE, EFFECT_TYPE, EFFECT_TYPE, i8, i8, f8, f8, _V, _V, _V, _V, i8[:, ::1],
+               f8[:, ::1],
                _V, _V, _V, f8[:, ::1], i8[::1], types.boolean),
     cache=True, nogil=True, error_model="numpy",
 )
@@ -131,12 +132,14 @@ def _input_at(U, first, last, k, s, S, delay, u, Ts, hold):
 
 
 @njit(
-    types.void(RHS_TYPE, EFFECT_TYPE, EFFECT_TYPE, EFFECT_TYPE, i8, i8, i8, f8, f8, _V, _V, _V, i8[:, ::1], f8[:, ::1],
+    types.void(RHS_TYPE, EFFECT_TYPE, EFFECT_TYPE, EFFECT_TYPE, i8, i8, i8, f8, f8, _V, _V, _V, i8[:, ::1],
+               f8[:, ::1],
                _V, _V, _V, _V, _V, _V, _V, _V, _V, i8, f8, i8[::1], types.boolean, i8[::1], _V, f8[:, ::1],
                types.boolean),
     cache=True, nogil=True, error_model="numpy",
 )
-def _substep(rhs, e0, e1, e2, ne, nx, nt, ts, h, x, u, p, II, Q, xs, us, ps, before, w, k1, k2, k3, k4, discrete, Ts,
+def _substep(rhs, e0, e1, e2, ne, nx, nt, ts, h, x, u, p, II, Q, xs, us, ps, before, w, k1, k2, k3, k4,
+             discrete, Ts,
              proximal, any_prox, partner, ratio, mobility, sliding):
     """Advance x by h: memory, one Runge-Kutta step, dry friction inside it (sliding) or after it."""
     if any_prox:
@@ -159,13 +162,16 @@ def _substep(rhs, e0, e1, e2, ne, nx, nt, ts, h, x, u, p, II, Q, xs, us, ps, bef
     else:
         for i in range(nt):
             w[i] = x[i] + 0.5 * h * k1[i]
-        _stage(rhs, e0, e1, e2, ne, nx, ts + 0.5 * h, h, w, u, p, k2, II, Q, xs, us, ps, mobility, proximal, sliding)
+        _stage(rhs, e0, e1, e2, ne, nx, ts + 0.5 * h, h, w, u, p, k2, II, Q, xs, us, ps, mobility, proximal,
+               sliding)
         for i in range(nt):
             w[i] = x[i] + 0.5 * h * k2[i]
-        _stage(rhs, e0, e1, e2, ne, nx, ts + 0.5 * h, h, w, u, p, k3, II, Q, xs, us, ps, mobility, proximal, sliding)
+        _stage(rhs, e0, e1, e2, ne, nx, ts + 0.5 * h, h, w, u, p, k3, II, Q, xs, us, ps, mobility, proximal,
+               sliding)
         for i in range(nt):
             w[i] = x[i] + h * k3[i]
-        _stage(rhs, e0, e1, e2, ne, nx, ts + h, h, w, u, p, k4, II, Q, xs, us, ps, mobility, proximal, sliding)
+        _stage(rhs, e0, e1, e2, ne, nx, ts + h, h, w, u, p, k4, II, Q, xs, us, ps, mobility, proximal,
+               sliding)
         for i in range(nt):
             x[i] += h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
     if any_prox and not sliding:
@@ -187,7 +193,8 @@ def _substep(rhs, e0, e1, e2, ne, nx, nt, ts, h, x, u, p, II, Q, xs, us, ps, bef
 
 
 @njit(
-    i8(RHS_TYPE, OUT_TYPE, EFFECT_TYPE, EFFECT_TYPE, EFFECT_TYPE, i8, i8, f8[:, ::1], i8[:, ::1], f8[:, ::1], _V,
+    i8(RHS_TYPE, OUT_TYPE, EFFECT_TYPE, EFFECT_TYPE, EFFECT_TYPE, i8, i8, f8[:, ::1], i8[:, ::1], f8[:, ::1],
+       _V,
        f8, i8, f8, i8, _V, i8[:, ::1], f8[:, ::1], i8[::1], i8[::1], _V, f8[:, ::1], f8[:, ::1], f8),
     cache=True, nogil=True, error_model="numpy",
 )
@@ -262,7 +269,8 @@ def simulate_segments(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, 
                     for e in range(ne):
                         if proximal[e] > 0 and x[II[e, 4]] == 0.0:
                             sliding = False
-                    _substep(rhs, e0, e1, e2, ne, nx, nt, ts, hh, x, u, p, II, Q, xs, us, ps, before, w, k1, k2, k3, k4,
+                    _substep(rhs, e0, e1, e2, ne, nx, nt, ts, hh, x, u, p, II, Q, xs, us, ps, before, w, k1,
+                             k2, k3, k4,
                              discrete, Ts, proximal, any_prox, partner, ratio, mobility, sliding)
                     piece += 1
                     if not any_prox or discrete > 0:
@@ -277,7 +285,8 @@ def simulate_segments(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, 
                         pieces, piece = 8, 0
                     elif event and sliding:
                         x[:] = start
-                        _substep(rhs, e0, e1, e2, ne, nx, nt, ts, hh, x, u, p, II, Q, xs, us, ps, before, w, k1, k2, k3,
+                        _substep(rhs, e0, e1, e2, ne, nx, nt, ts, hh, x, u, p, II, Q, xs, us, ps, before, w,
+                                 k1, k2, k3,
                                  k4, discrete, Ts, proximal, any_prox, partner, ratio, mobility, False)
                 for i in range(nt):
                     if not (abs(x[i]) <= limit):

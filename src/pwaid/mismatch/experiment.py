@@ -23,4 +23,4 @@ def next_experiment(problem, decision, singles) -> str:
     if decision.verdict == "unexplained":
         return ("Repeat one recording unchanged: a mismatch that does not repeat is a disturbance, one that does is "
                 "physics outside the catalogue. Then the same input at half and at double amplitude.")
-    return ("Record at other amplitudes and speeds than these: an effect that was never excited cannot be seen." + repeat)
+    return ("Record at other amplitudes and speeds than these: an effect never excited cannot be seen." + repeat)

@@ -15,7 +15,7 @@ import numpy as np
 from pwaid.errors import InputError
 from pwaid.mismatch.case import load_case
 from pwaid.mismatch.dataset import Dataset
-from pwaid.mismatch.decide import Thresholds, decide
+from pwaid.mismatch.decide import Thresholds, at_floor, decide
 from pwaid.mismatch.effects.registry import CATALOGUE, effect_by_id
 from pwaid.mismatch.hygiene import hygiene
 from pwaid.mismatch.hypotheses import fit_pairs, fit_shortlist, floor_square, null_hypothesis
@@ -38,9 +38,11 @@ def _split(train: Sequence[Recording]) -> tuple[list[Recording], list[Recording]
     return [only[:cut]], [only[cut:].replace(name=f"{only.name}[{cut}:]")]
 
 
-def explain(simulator, train, test=None, free_parameters: Sequence[str] | None = None, *, units: Mapping | None = None,
+def explain(simulator, train, test=None, free_parameters: Sequence[str] | None = None, *,
+            units: Mapping | None = None,
             tolerances: Mapping[str, float] | None = None, noise_floor: Mapping[str, float] | None = None,
-            repeats=(), hold: str = "zero", closed_loop: bool = False, effects=None, without: Sequence[str] = (),
+            repeats=(), hold: str = "zero", closed_loop: bool = False, effects=None,
+            without: Sequence[str] = (),
             jobs: int = 1, progress: Callable | None = None, thresholds: Thresholds | None = None,
             source: str = "") -> Report:
     """Say why a simulator and recordings differ.
@@ -98,7 +100,8 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
     say(0.02, "refitting the nominal simulator")
     named = {r.name: r.outputs for r in (*train, *test)}
     problem = prepare(plant, data, held, [units.get(n, "") for n in train[0].input_names],
-                      [units.get(n, "") for n in train[0].output_names], free_parameters, tolerances, noise_floor,
+                      [units.get(n, "") for n in train[0].output_names], free_parameters, tolerances,
+                      noise_floor,
                       [[named[n] for n in group if n in named] for group in repeats], hold == "first")
     notes += hygiene(problem, closed_loop)
     catalogue = [e for e in (CATALOGUE if effects is None else effects) if e.id not in without]
@@ -107,6 +110,8 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
     null = null_hypothesis(problem)
     screened = screen(problem, problem.null, located, jobs)
     chosen = shortlist(screened)
+    if at_floor(problem, thresholds or Thresholds()):
+        chosen = chosen[:3]  # nothing to explain: the best few are fitted so that the report can show them
     say(0.3, f"fitting {len(chosen)} candidates")
     singles = fit_shortlist(problem, chosen, jobs)
     pairs = []
@@ -136,7 +141,8 @@ def _check_sizes(plant, recordings):
     _, nu, ny = plant.sizes
     for r in recordings:
         if r.inputs.shape[1] != nu:
-            raise InputError(f"{r.name} has {r.inputs.shape[1]} inputs, the simulator {nu}; give the simulator's inputs")
+            raise InputError(f"{r.name} has {r.inputs.shape[1]} inputs, the simulator {nu}; "
+                             "give the simulator's inputs")
         if r.outputs.shape[1] != ny:
             raise InputError(f"{r.name} has {r.outputs.shape[1]} outputs, the simulator {ny}; "
                              "give the simulator's outputs")
@@ -158,8 +164,10 @@ def explain_case(case_dir, out=None, jobs: int = 1, progress: Callable | None = 
     """
     case = load_case(case_dir)
     report = explain(case.plant, case.train, case.test or None, case.free, tolerances=case.tolerances,
-                     noise_floor=case.noise_floor, repeats=case.repeats, hold="first" if case.first_order_hold else
+                     noise_floor=case.noise_floor, repeats=case.repeats,
+                     hold="first" if case.first_order_hold else
                      "zero", closed_loop=case.closed_loop, without=without, jobs=jobs, progress=progress,
                      source=case.simulator_source)
-    write_report(report, Path(out) if out is not None else Path(case_dir) / "explained", case.simulator_source)
+    write_report(report, Path(out) if out is not None else Path(case_dir) / "explained",
+                 case.simulator_source)
     return report

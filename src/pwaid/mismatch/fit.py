@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pwaid.mismatch.dataset import Dataset
-from pwaid.mismatch.model import LIMIT, Model
+from pwaid.mismatch.model import Model
 
 __all__ = ["Fit", "Jacobian", "fit_model", "fit_starts", "jacobian"]
 
@@ -52,7 +52,8 @@ def _weighted(Y, data, sigma):
 
 def _steps(model: Model, theta):
     """Difference steps: wide enough to average over the kinks that events make."""
-    rough = any(e.effect.proximal or e.effect.id in ("end_stop", "backlash", "overflow") for e in model.located)
+    rough = any(e.effect.proximal or e.effect.id in ("end_stop", "backlash",
+                                                     "overflow") for e in model.located)
     steps = np.full(model.size, 2e-3 if rough else 2e-4)
     k = model.np
     for e in model.located:
@@ -140,14 +141,16 @@ def fit_model(model: Model, data: Dataset, sigma, theta, X0, ranges, iterations:
     r = _weighted(Y, data, sigma)
     cost = r @ r + np.sum((prior * theta) ** 2)
     mu, done = 1e-3, 0
-    for done in range(1, iterations + 1):
+    while done < iterations:
+        done += 1
         if hold_globals:
             J = jacobian(_Frozen(model, theta), theta[:0], X0, data, sigma, Y, ranges)
         else:
             J = jacobian(model, theta, X0, data, sigma, Y, ranges, bounds=(low, high))
         improved = False
         for _ in range(7):
-            step = _step(J, r, rows, prior[:0] if hold_globals else prior, theta[:0] if hold_globals else theta, mu,
+            step = _step(J, r, rows, prior[:0] if hold_globals else prior,
+                         theta[:0] if hold_globals else theta, mu,
                          ranges)
             if step is None:
                 mu *= 10

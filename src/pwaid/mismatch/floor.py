@@ -29,7 +29,8 @@ def white_level(signal, order: int = 3) -> float:
     return float(np.median(np.abs(d)) / 0.6745 / np.sqrt(_GAIN[order]))
 
 
-def estimate_floor(residual, outputs, segments, output_names: Sequence[str], given: Mapping[str, float] | None = None,
+def estimate_floor(residual, outputs, segments, output_names: Sequence[str],
+                   given: Mapping[str, float] | None = None,
                    repeats: Sequence[Sequence[np.ndarray]] = ()) -> Floor:
     """The floor of every output.
 

@@ -23,7 +23,6 @@ def hygiene(problem: Problem, closed_loop: bool = False) -> list[str]:
         if np.ptp(data.U[:, j]) == 0:
             notes.append(f"input {name} is constant: effects of this channel cannot be seen")
     notes += _feedback(problem, closed_loop)
-    notes += _delay(problem)
     notes += _coverage(problem)
     return notes
 
@@ -32,7 +31,8 @@ def _distinct(name, y):
     values = np.unique(y)
     if len(values) < 0.1 * len(y):
         step = np.median(np.diff(values)) if len(values) > 1 else 0.0
-        return [f"{name} takes only {len(values)} distinct values in {len(y)} samples (step about {step:.3g}): quantised"]
+        return [f"{name} takes only {len(values)} distinct values in {len(y)} samples "
+                f"(step about {step:.3g}): quantised"]
     return []
 
 
@@ -94,17 +94,13 @@ def _feedback(problem, closed_loop):
     return []
 
 
-def _delay(problem):
-    return []
-
-
 def _coverage(problem):
     s = problem.structure
     notes = []
     for v in s.velocities():
         if s.low[v] >= 0 or s.high[v] <= 0:
-            notes.append(f"{s.plant.state_names[v]} never changes sign: reversals, dry friction's asymmetry and backlash "
-                         "were not tested")
+            notes.append(f"{s.plant.state_names[v]} never changes sign: reversals, dry friction's asymmetry and "
+                         "backlash were not tested")
     for j, name in enumerate(s.plant.input_names):
         u = problem.train.U[:, j]
         if u.size and (u.min() >= 0 or u.max() <= 0):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -11,9 +12,10 @@ from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.fit import Fit, fit_model
 from pwaid.mismatch.model import Located, Model
 from pwaid.mismatch.nullfit import Problem
-from pwaid.mismatch.screen import Screened, run_jobs, screen, shortlist
+from pwaid.mismatch.screen import Screened, run_jobs, screen
 
-__all__ = ["Hypothesis", "fit_pairs", "fit_shortlist", "floor_square", "mean_square", "null_hypothesis", "share"]
+__all__ = ["Hypothesis", "fit_pairs", "fit_shortlist", "floor_square", "mean_square", "null_hypothesis",
+           "share"]
 
 
 @dataclass(frozen=True)
@@ -66,7 +68,8 @@ def _hypothesis(problem: Problem, fit: Fit, score: float, start=None) -> Hypothe
     test = problem.heldout(fit, start)
     train_error = mean_square(problem, fit, problem.train)
     test_error = mean_square(problem, test, problem.test)
-    return Hypothesis(fit.model.located, fit, test, train_error, test_error, share(problem, test_error), score)
+    return Hypothesis(fit.model.located, fit, test, train_error, test_error, share(problem, test_error),
+                      score)
 
 
 def null_hypothesis(problem: Problem) -> Hypothesis:
@@ -85,7 +88,7 @@ def _window(problem: Problem, base: Fit, samples: int = 600) -> tuple[Dataset, n
         first = a + int(np.argmax(running[n:] - running[:-n]))
         inner = [s for s in data.segments[:, 0] if first < s < first + n]  # keep the segments' cuts
         edges = [first, *inner, first + n]
-        for i, j in zip(edges[:-1], edges[1:], strict=True):
+        for i, j in itertools.pairwise(edges):
             rows.append((i - first + new, j - first + new, new, new + n))
             starts.append(base.X[i, :base.model.nx])
         keep.append(np.arange(first, first + n))
@@ -119,10 +122,12 @@ def _finish(problem: Problem, base: Fit, trials: Sequence[Fit], iterations: int 
         distinct = not ends or np.max(np.abs(trial.theta - trials[0].theta)) > 0.05
         if ends and (trial.cost > 3 * trials[0].cost or not distinct):
             break
-        ends.append(fit_model(trial.model, problem.train, problem.sigma, trial.theta, base.X0, problem.ranges, 5, 1e-3))
+        ends.append(fit_model(trial.model, problem.train, problem.sigma, trial.theta, base.X0,
+                              problem.ranges, 5, 1e-3))
     best = min(ends, key=lambda f: f.cost)
     model = _resolved(problem, best)
-    return fit_model(model, problem.train, problem.sigma, best.theta, best.X0, problem.ranges, iterations, 3e-4)
+    return fit_model(model, problem.train, problem.sigma, best.theta, best.X0, problem.ranges, iterations,
+                     3e-4)
 
 
 def _resolved(problem: Problem, fit: Fit, most: int = 8) -> Model:
@@ -155,10 +160,11 @@ def fit_shortlist(problem: Problem, candidates: Sequence[Screened], jobs: int = 
             tick()
         return trials
 
-    tried = sorted(zip(run_jobs(attempt, candidates, jobs), candidates, strict=True), key=lambda t: t[0][0].cost)
+    tried = sorted(zip(run_jobs(attempt, candidates, jobs), candidates, strict=True),
+                   key=lambda t: t[0][0].cost)
     ids = {e for _, c in tried[:keep] for e in c.located.effect.contains}
     limit = 2 * tried[0][0][0].cost if tried else 0.0
-    kept = [t for k, t in enumerate(tried) if k < keep and t[0][0].cost < 50 * tried[0][0][0].cost
+    kept = [t for k, t in enumerate(tried) if (k < keep and t[0][0].cost < 50 * tried[0][0][0].cost)
             or t[1].located.effect.id in ids or (t[0][0].cost < limit and k < 2 * keep)]
 
     def finish(item):
@@ -173,7 +179,8 @@ def _same_knob(a: Located, b: Located) -> bool:
     """Two laws of one id, or one containing the other, at the same place: not a pair."""
     if a.place.ii[:6] != b.place.ii[:6] and a.effect.id != b.effect.id:
         return False
-    return (a.effect.id == b.effect.id or b.effect.id in a.effect.contains or a.effect.id in b.effect.contains)
+    return (a.effect.id == b.effect.id or b.effect.id in a.effect.contains
+            or a.effect.id in b.effect.contains)
 
 
 def _distinct(hypotheses: Sequence[Hypothesis], count: int) -> list[Hypothesis]:
@@ -197,7 +204,8 @@ def fit_pairs(problem: Problem, singles: Sequence[Hypothesis], located: Sequence
         again = screen(problem, h.fit, others, jobs)
         chosen = []
         for s in again:
-            key = frozenset(((h.ids[0], h.located[0].place.signal), (s.located.effect.id, s.located.place.signal)))
+            key = frozenset(((h.ids[0], h.located[0].place.signal),
+                             (s.located.effect.id, s.located.place.signal)))
             if s.score > 0 and key not in seen and len(chosen) < width:
                 seen.add(key)
                 chosen.append(s)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 from scipy.stats import t as student
 
@@ -36,7 +38,7 @@ def covariance(problem: Problem, fit: Fit, blocks: int = 40) -> np.ndarray:
     per = max(1, blocks // len(data.recordings))
     for a, b in data.recordings:
         edges = np.linspace(a, b, per + 1).astype(int) * ny
-        for i, j in zip(edges[:-1], edges[1:], strict=True):
+        for i, j in itertools.pairwise(edges):
             g = G[i:j].T @ r[i:j]
             meat += np.outer(g, g)
     white = inverse * float(r @ r) / max(len(r) - len(H), 1)

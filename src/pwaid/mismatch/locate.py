@@ -1,7 +1,8 @@
-"""Where the mismatch sits: channel, variables, time, frequency (placeholder order of magnitude from the residual)."""
+"""Where the mismatch sits in time and in frequency, from the residual of the refitted simulator."""
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -29,7 +30,7 @@ def intervals(problem: Problem, share: float = 0.8, pieces: int = 40):
     a, b = data.recordings[0]
     r = np.sum((problem.null.residual(data)[a:b] / problem.sigma) ** 2, axis=1)
     edges = np.linspace(0, b - a, min(pieces, b - a) + 1).astype(int)
-    energy = np.array([r[i:j].sum() for i, j in zip(edges[:-1], edges[1:], strict=True)])
+    energy = np.array([r[i:j].sum() for i, j in itertools.pairwise(edges)])
     order = np.argsort(energy)[::-1]
     keep = np.zeros(len(energy), dtype=bool)
     keep[order[:int(np.searchsorted(np.cumsum(energy[order]), share * energy.sum())) + 1]] = True

@@ -46,12 +46,14 @@ class Located:
 
     @cached_property
     def origins(self) -> np.ndarray:
-        return np.array([self.place.levels[q.size.removesuffix("_level")][0] if q.size.endswith("_level") else 0.0
+        return np.array([self.place.levels[q.size.removesuffix("_level")][0]
+                         if q.size.endswith("_level") else 0.0
                          for q in self.effect.quantities])
 
     @cached_property
     def spans(self) -> np.ndarray:
-        return np.array([self.place.levels[q.size.removesuffix("_level")][1] if q.size.endswith("_level") else s
+        return np.array([self.place.levels[q.size.removesuffix("_level")][1]
+                         if q.size.endswith("_level") else s
                          for q, s in zip(self.effect.quantities, self.scales, strict=True)])
 
     def units(self) -> list[str]:
@@ -185,5 +187,6 @@ class Model:
         first = plant.rhs if plant.rhs is not None else plant
         loop(first, plant.out if plant.rhs is not None else None, *self.kernels, len(self.located), self.nx,
              start, data.segments, data.U, delay, data.sample_time, 1 if plant.dt else self.substeps,
-             float(s.first_order_hold), int(plant.dt > 0), p, self.II, Q, self.proximal, s.partner, s.ratio, X, Y, LIMIT)
+             float(s.first_order_hold), int(plant.dt > 0), p, self.II, Q, self.proximal, s.partner, s.ratio,
+             X, Y, LIMIT)
         return Y, X

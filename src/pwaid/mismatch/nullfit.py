@@ -14,7 +14,8 @@ from pwaid.mismatch.fit import Fit, fit_model, fit_starts
 from pwaid.mismatch.floor import Floor, estimate_floor, white_level
 from pwaid.mismatch.model import LIMIT, Model, Settings
 from pwaid.mismatch.plant import Plant
-from pwaid.mismatch.structure import Structure, find_structure
+from pwaid.mismatch.probing import find_structure
+from pwaid.mismatch.structure import Structure
 
 __all__ = ["Problem", "first_states", "prepare"]
 
@@ -89,7 +90,8 @@ def first_states(plant: Plant, structure_map, data: Dataset) -> np.ndarray:
             if j >= 0 and j not in output_state:
                 X0[g, j] = slope / ratio[i]
         for i in range(nx):  # an unmeasured position next to measured ones starts with them
-            if partner[i] >= 0 and i not in output_state and any(s >= 0 and partner[s] >= 0 for s in output_state):
+            if partner[i] >= 0 and i not in output_state and any(s >= 0
+                                                                 and partner[s] >= 0 for s in output_state):
                 k = next(k for k, s in enumerate(output_state) if s >= 0 and partner[s] >= 0)
                 X0[g, i] = data.Y[a, k]
     return X0
@@ -128,7 +130,7 @@ def _growth(plant: Plant, states, inputs) -> float:
 
 
 def _substeps(model: Model, theta, X0, data: Dataset) -> int:
-    """Substeps per sample for which halving the step changes the outputs by less than the noise, or 1e-4 of their range."""
+    """Substeps per sample for which halving the step changes the outputs by less than the noise."""
     if model.settings.plant.dt:
         return 1
     span = np.ptp(data.Y, axis=0) + 1e-12
@@ -138,9 +140,9 @@ def _substeps(model: Model, theta, X0, data: Dataset) -> int:
     S, previous = 1, None
     while S <= 32:
         Y, _ = Model(model.settings, model.located, S).simulate(theta, X0, short)
-        if previous is not None:
-            if np.all(np.sqrt(np.mean((Y - previous) ** 2, axis=0)) < allowed) and np.all(np.abs(Y) < LIMIT):
-                return S // 2
+        same = previous is not None and np.all(np.sqrt(np.mean((Y - previous) ** 2, axis=0)) < allowed)
+        if same and np.all(np.abs(Y) < LIMIT):
+            return S // 2
         previous = Y
         S *= 2
     return 8
@@ -181,7 +183,8 @@ def prepare(plant: Plant, train: Dataset, test: Dataset, input_units, output_uni
     scale = np.std(train.Y, axis=0) + 1e-12
 
     growth = _growth(plant, _state_cloud(plant, rough, train), train.U)
-    samples = segment_length(plant, growth, int(np.max(np.diff(train.recordings))), train.sample_time, rough.time_scale)
+    samples = segment_length(plant, growth, int(np.max(np.diff(train.recordings))), train.sample_time,
+                             rough.time_scale)
     train, test = train.cut(samples), test.cut(samples)
     if samples < np.max(np.diff(train.recordings)):
         notes += (f"the simulator is integrating or unstable: {len(train.segments)} segments of about "
@@ -239,7 +242,8 @@ def _rough_structure(plant, train, input_units, output_units, free):
     rng = np.random.default_rng(0)
     states = rng.uniform(0.05, 1.0, (64, nx)) * reach
     length = float(np.max(np.diff(train.recordings)) * train.sample_time)
-    return find_structure(plant, states, train.U, train.Y, input_units, output_units, train.sample_time, length, free)
+    return find_structure(plant, states, train.U, train.Y, input_units, output_units, train.sample_time,
+                          length, free)
 
 
 def _state_cloud(plant, rough, train):

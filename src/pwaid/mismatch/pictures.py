@@ -33,5 +33,4 @@ def overview(report):
         axes[1, k].set_ylabel(f"residual of {name}")
         axes[1, k].set_xlabel("time / s")
         axes[0, k].legend(fontsize=8, loc="upper right")
-    fig.tight_layout()
     return fig

@@ -105,11 +105,13 @@ def _linear_out(t, x, u, p, y):
 def _from_state_space(system: control.StateSpace, source: str) -> Plant:
     parts = {"A": system.A, "B": system.B, "C": system.C, "D": system.D}
     parameters = {
-        f"{k}[{i},{j}]": float(M[i, j]) for k, M in parts.items() for i in range(M.shape[0]) for j in range(M.shape[1])
+        f"{k}[{i},{j}]": float(M[i, j]) for k,
+        M in parts.items() for i in range(M.shape[0]) for j in range(M.shape[1])
     }
 
     def matrices(params):
-        return {k: np.array([[params[f"{k}[{i},{j}]"] for j in range(M.shape[1])] for i in range(M.shape[0])]).reshape(
+        return {k: np.array([[params[f"{k}[{i},{j}]"] for j in range(M.shape[1])]
+                             for i in range(M.shape[0])]).reshape(
             M.shape) for k, M in parts.items()}
 
     def update(t, x, u, params):
@@ -120,7 +122,8 @@ def _from_state_space(system: control.StateSpace, source: str) -> Plant:
         m = matrices(params)
         return m["C"] @ x + m["D"] @ u
 
-    return Plant(update, output, tuple(system.state_labels), tuple(system.input_labels), tuple(system.output_labels),
+    return Plant(update, output, tuple(system.state_labels), tuple(system.input_labels),
+                 tuple(system.output_labels),
                  parameters, _time_step(system), _linear_rhs, _linear_out, source, linear=True)
 
 
@@ -201,7 +204,8 @@ def as_plant(simulator, input_names=None, output_names=None, parameters: Mapping
         return _from_nonlinear(simulator, source)
     if callable(simulator) and len(inspect.signature(simulator).parameters) >= 4:
         names = tuple(output_names or ())
-        plant = Plant(simulator, None, names, tuple(input_names or ()), names, dict(parameters or {}), source=source)
+        plant = Plant(simulator, None, names, tuple(input_names or ()), names, dict(parameters or {}),
+                      source=source)
         return _compile(_checked(plant))
     raise InputError(f"the simulator is a {type(simulator).__name__}; expected control.nlsys, control.ss, a transfer "
                      "function, a right-hand side f(t, x, u, params), or a callable simulate(u)")

@@ -29,8 +29,10 @@ def repaired_system(hypothesis: Hypothesis, sample_time: float) -> control.Nonli
     plant = hypothesis.fit.model.settings.plant
     names = list(plant.state_names) + [f"z{i}" for i in range(hypothesis.fit.model.extra)]
     update, output = space["make_repaired"](plant.update, plant.output)
-    return control.nlsys(update, output, inputs=list(plant.input_names), outputs=list(plant.output_names), states=names,
-                         params={n: float(v) for n, v in zip(plant.parameters, hypothesis.fit.model.parameters(
+    return control.nlsys(update, output, inputs=list(plant.input_names), outputs=list(plant.output_names),
+                         states=names,
+                         params={n: float(v) for n,
+                                 v in zip(plant.parameters, hypothesis.fit.model.parameters(
                              hypothesis.fit.theta), strict=False)}, dt=sample_time, name="repaired")
 
 
@@ -87,12 +89,15 @@ def repaired_source(hypothesis: Hypothesis, sample_time: float, simulator_source
     if simulator_source is not None:
         lines += ["# --- the nominal simulator, unchanged ---", _strip_future(simulator_source).rstrip(), "",
                   "nominal_build = build", ""]
-    refitted = {n: float(v) for n, v in zip(s.plant.parameters, model.parameters(hypothesis.fit.theta), strict=False)}
+    refitted = {n: float(v) for n,
+                v in zip(s.plant.parameters, model.parameters(hypothesis.fit.theta), strict=False)}
     lines += ["", "# --- the missing physics ---", _kernel_source(model), "",
               f"SAMPLE_TIME = {sample_time!r}", f"SUBSTEPS = {1 if s.plant.dt else model.substeps}",
               f"DISCRETE = {bool(s.plant.dt)}", f"EXTRA_STATES = {model.extra}",
-              f"FITTED_PARAMETERS = {refitted!r}", f"SPEED_OF = {s.partner.tolist()}", f"SPEED_RATIO = {s.ratio.tolist()}",
-              "MISSING_PHYSICS = [  # law, where it acts, parameters, dry friction?, start of its memory, delay (s)", *effects,
+              f"FITTED_PARAMETERS = {refitted!r}", f"SPEED_OF = {s.partner.tolist()}",
+              f"SPEED_RATIO = {s.ratio.tolist()}",
+              "MISSING_PHYSICS = [  # law, where it acts, parameters, dry friction?, start of its memory, delay (s)",
+              *effects,
               "]", _LOOP]
     if simulator_source is not None:
         lines += [_BUILD]

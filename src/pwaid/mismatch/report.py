@@ -109,14 +109,16 @@ def effect_entries(problem: Problem, h: Hypothesis, shares: Sequence[float]) -> 
     entries, k = [], h.fit.model.np
     for e, part in zip(h.located, shares, strict=True):
         z = h.fit.theta[k:k + e.size]
-        ends = np.array([e.physical(low[k:k + e.size]), e.physical(high[k:k + e.size])]) if e.size else np.zeros((2, 0))
+        ends = np.array([e.physical(low[k:k + e.size]),
+                         e.physical(high[k:k + e.size])]) if e.size else np.zeros((2, 0))
         values = e.physical(z)
         entries.append({
             "id": e.effect.id,
             "where": {"kind": e.place.kind, "signal": e.place.signal, "variables": list(e.place.variables),
                       "note": e.place.note},
             "law": e.effect.law,
-            "parameters": {q.name: {"value": values[i], "low": ends[:, i].min(), "high": ends[:, i].max(), "unit": u}
+            "parameters": {q.name: {"value": values[i], "low": ends[:, i].min(), "high": ends[:, i].max(),
+                                    "unit": u}
                            for i, (q, u) in enumerate(zip(e.effect.quantities, e.units(), strict=True))},
             "share_explained": part,
         })
@@ -144,7 +146,8 @@ def _candidates(problem, hypotheses, passed, output_names):
     return sorted(rows, key=lambda r: -r["share_explained"])
 
 
-def build_report(problem: Problem, null, singles, pairs, screened, decision: Decision, location: Location, notes,
+def build_report(problem: Problem, null, singles, pairs, screened, decision: Decision, location: Location,
+                 notes,
                  tried: int, seconds: float) -> Report:
     """Gather everything into the content of report.json."""
     names = problem.plant.output_names
@@ -159,13 +162,14 @@ def build_report(problem: Problem, null, singles, pairs, screened, decision: Dec
     for k, name in enumerate(problem.settings.free):
         nominal = problem.plant.parameters[name]
         ends = sorted((nominal * np.exp(low[k]), nominal * np.exp(high[k])))
-        parameters[name] = {"nominal": nominal, "refitted": nominal * np.exp(best.fit.theta[k]), "low": ends[0],
+        parameters[name] = {"nominal": nominal, "refitted": nominal * np.exp(best.fit.theta[k]),
+                            "low": ends[0],
                             "high": ends[1], "without_effect": nominal * np.exp(null.fit.theta[k])}
     stages = {"nominal": problem.nominal_test.Y, "refitted": null.test.Y, "repaired": best.test.Y}
     content = {
         "schema": "pwaid.mismatch/1", "verdict": decision.verdict, "effects": effects,
         "candidates": _candidates(problem, [*singles, *pairs], decision.passed, names),
-        "location": _location(location, best if decision.members else None),
+        "location": _location(location, best if decision.members else None, screened),
         "parameters": parameters,
         "fit": fit_table(problem.test, names, stages),
         "fit_train": fit_table(problem.train, names, {"nominal": problem.nominal.Y, "refitted": null.fit.Y,
@@ -175,26 +179,31 @@ def build_report(problem: Problem, null, singles, pairs, screened, decision: Dec
         "noise_floor_source": problem.floor.source,
         "next_experiment": next_experiment(problem, decision, singles),
         "reasons": list(decision.reasons), "warnings": warnings,
-        "screen": [{"id": s.located.effect.id, "where": s.located.label, "score": s.score, "visible": s.visible}
+        "screen": [{"id": s.located.effect.id, "where": s.located.label, "score": s.score,
+                    "visible": s.visible}
                    for s in screened],
         "hypotheses_tried": tried, "seconds": seconds,
     }
     return Report(_clean(content), problem, null, decision, tuple(singles), tuple(pairs), location)
 
 
-def _location(location: Location, best) -> dict:
+def _location(location: Location, best, screened) -> dict:
+    """Channel and variables of the named effect; of the candidate most like the residual when nothing is named."""
     channel, variables = location.channel, location.variables
+    if best is None and screened and screened[0].score > 0:
+        channel, variables = screened[0].located.place.channel, screened[0].located.place.variables
     if best is not None and best.located:
         channel = best.located[0].place.channel
         variables = tuple(dict.fromkeys(v for e in best.located for v in e.place.variables))
     return {"channel": channel, "variables": list(variables), "breakpoints": location.breakpoints,
             "memory": location.memory or bool(best and any(e.effect.memory for e in best.located)),
-            "intervals_s": [list(i) for i in location.intervals_s], "bands_hz": [list(b) for b in location.bands_hz],
-            "unknown_input": location.channel, "unknown_input_variables": list(location.variables)}
+            "intervals_s": [list(i) for i in location.intervals_s],
+            "bands_hz": [list(b) for b in location.bands_hz]}
 
 
 def _collinear(h: Hypothesis, correlation) -> list[str]:
-    names = list(h.fit.model.settings.free) + [f"{e.effect.id}.{q.name}" for e in h.located for q in e.effect.quantities]
+    names = list(h.fit.model.settings.free) + [f"{e.effect.id}.{q.name}"
+                                               for e in h.located for q in e.effect.quantities]
     notes = []
     for i in range(len(names)):
         for j in range(max(i + 1, h.fit.model.np), len(names)):
@@ -210,13 +219,15 @@ def write_report(report: Report, out: Path, simulator_source: str) -> None:
         for name, v in e["parameters"].items():
             rows.append(f"{e['id']}.{name} = {v['value']:.6g} {v['unit']}  (90 %: {v['low']:.4g} to {v['high']:.4g})")
     for name, v in report.content["parameters"].items():
-        rows.append(f"{name} = {v['refitted']:.6g}  (nominal {v['nominal']:.6g}; 90 %: {v['low']:.4g} to {v['high']:.4g})")
+        rows.append(f"{name} = {v['refitted']:.6g}  (nominal {v['nominal']:.6g}; "
+                    f"90 %: {v['low']:.4g} to {v['high']:.4g})")
     from pwaid.mismatch.html import html_page
 
     files = {"report.json": json.dumps(report.content, indent=1, allow_nan=False),
              "report.html": html_page(report),
              "report.txt": report.summary,
-             "repaired_simulator.py": repaired_source(report.best, report.problem.train.sample_time, simulator_source,
+             "repaired_simulator.py": repaired_source(report.best, report.problem.train.sample_time,
+                                                      simulator_source,
                                                       rows)}
     out.mkdir(parents=True, exist_ok=True)
     for name, text in files.items():

@@ -74,7 +74,8 @@ def _basis(M, tol: float = 1e-7):
     return Q
 
 
-def locate_effects(effects: Sequence[Effect], structure: Structure, without: Sequence[str] = ()) -> list[Located]:
+def locate_effects(effects: Sequence[Effect], structure: Structure,
+                   without: Sequence[str] = ()) -> list[Located]:
     """Every effect at every place where this simulator lets it in."""
     return [Located(e, place) for e in effects if e.id not in without for place in e.places(structure)]
 
@@ -120,7 +121,8 @@ def _peaks(residual, data: Dataset, located, count: int = 3):
     return [2 * np.pi * k / ((b - a) * data.sample_time) for k in found]
 
 
-def screen(problem: Problem, fit: Fit, located: Sequence[Located], jobs: int = 1, tick=None) -> list[Screened]:
+def screen(problem: Problem, fit: Fit, located: Sequence[Located], jobs: int = 1,
+           tick=None) -> list[Screened]:
     """Score every candidate on top of `fit` (the null, or a hypothesis already accepted), best first."""
     data, sigma = problem.train, problem.sigma
     base = fit.model
@@ -145,7 +147,8 @@ def screen(problem: Problem, fit: Fit, located: Sequence[Located], jobs: int = 1
         model = Model(problem.settings, (*base.located, candidate))
         reference = fit.Y
         if model.substeps != base.substeps:
-            reference = Model(problem.settings, base.located, model.substeps).simulate(fit.theta, fit.X0, data)[0]
+            reference = Model(problem.settings, base.located, model.substeps).simulate(fit.theta, fit.X0,
+                                                                                       data)[0]
         scored, visible = [], 0.0
         low, high = candidate.bounds(data.sample_time / model.substeps)
         for z in _probe_grid(candidate, problem, residual) or [np.zeros(0)]:
@@ -182,7 +185,8 @@ def screen(problem: Problem, fit: Fit, located: Sequence[Located], jobs: int = 1
     return sorted(found, key=lambda s: -s.score)
 
 
-def shortlist(screened: Sequence[Screened], top: int = 8, per_family: float = 0.3, limit: int = 14) -> list[Screened]:
+def shortlist(screened: Sequence[Screened], top: int = 8, per_family: float = 0.3,
+              limit: int = 14) -> list[Screened]:
     """The best few, the best of each family within reach of the winner, one place per law unless it scores alike."""
     alive = [s for s in screened if s.score > 0]
     if not alive:

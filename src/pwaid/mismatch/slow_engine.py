@@ -55,7 +55,8 @@ class _Stage:
         return col
 
 
-def simulate_segments_slowly(plant, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, discrete, p, II, Q,
+def simulate_segments_slowly(plant, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, discrete,
+                             p, II, Q,
                              proximal, partner, ratio, X, Y, limit):
     """Same arguments and results as the compiled loop, with the plant in place of its compiled functions."""
     stage = _Stage(plant, (e0, e1, e2), ne, nx, II, Q)

@@ -16,7 +16,8 @@ def _effect_line(e: dict) -> str:
     values = ", ".join(f"{name} = {number(v['value'])} ({number(v['low'])} to {number(v['high'])}) {v['unit']}".rstrip()
                        for name, v in e["parameters"].items())
     where = e["where"]["signal"] + (f", {e['where']['note']}" if e["where"].get("note") else "")
-    return f"{e['id'].replace('_', ' ')} at {e['where']['kind']} {where}: {e['law']}" + (f"; {values}" if values else "")
+    return f"{e['id'].replace('_', ' ')} at {e['where']['kind']} {where}: {e['law']}" + (f"; {values}"
+                                                                                         if values else "")
 
 
 _VERDICTS = {
@@ -40,7 +41,8 @@ def summary_text(c: dict) -> str:
     for recording, outputs in c["fit"].items():
         for output, stages in outputs.items():
             r = [number(stages[s]["rmse"]) for s in ("nominal", "refitted", "repaired")]
-            lines.append(f"  {recording} {output}: {r[0]} -> {r[1]} -> {r[2]}; floor {number(c['noise_floor'][output])}")
+            floor = number(c["noise_floor"][output])
+            lines.append(f"  {recording} {output}: {r[0]} -> {r[1]} -> {r[2]}; floor {floor}")
     moved = [f"{n} {number(v['nominal'])} -> {number(v['refitted'])} ({number(v['low'])} to {number(v['high'])})"
              for n, v in c["parameters"].items()]
     if moved:

@@ -9,7 +9,8 @@ from pwaid.errors import InputError
 __all__ = ["KNOWN", "check_unit", "combine", "parse_unit", "unit_kind"]
 
 _KINDS = {
-    "angle": ("rad", "deg", "mrad", "rev", "urad", "µrad"), "length": ("m", "mm", "um", "µm", "cm", "km", "in"),
+    "angle": ("rad", "deg", "mrad", "rev", "urad", "µrad"),
+    "length": ("m", "mm", "um", "µm", "cm", "km", "in"),
     "force": ("N", "kN", "mN"), "voltage": ("V", "mV", "kV"), "current": ("A", "mA"),
     "temperature": ("K", "degC", "°C", "C", "degF"), "pressure": ("Pa", "kPa", "bar", "MPa", "mbar", "hPa"),
     "mass": ("kg", "g"), "time": ("s", "ms", "min", "h", "us"), "power": ("W", "kW", "mW"),
@@ -65,7 +66,8 @@ def unit_kind(text: str) -> str:
         kinds[KNOWN[symbol]] = kinds.get(KNOWN[symbol], 0) + power
     table = {
         (("angle", 1),): "angle", (("angle", 1), ("time", -1)): "angular_speed", (("length", 1),): "length",
-        (("length", 1), ("time", -1)): "speed", (("force", 1),): "force", (("force", 1), ("length", 1)): "torque",
+        (("length", 1), ("time", -1)): "speed", (("force", 1),): "force",
+        (("force", 1), ("length", 1)): "torque",
         (("length", 3), ("time", -1)): "flow", (("time", -1), ("volume", 1)): "flow",
         (("length", 1), ("time", -2)): "acceleration", (("angle", 1), ("time", -2)): "acceleration",
     }
@@ -87,4 +89,5 @@ def combine(base: dict[str, int], *others: tuple[dict[str, int], int]) -> str:
     down = [s if n == -1 else f"{s}^{-n}" for s, n in powers.items() if n < 0]
     if not up and not down:
         return "1"
-    return (" ".join(up) or "1") + ("/" + (down[0] if len(down) == 1 else f"({' '.join(down)})") if down else "")
+    return (" ".join(up) or "1") + ("/" + (down[0] if len(down) == 1
+                                           else f"({' '.join(down)})") if down else "")

@@ -1,0 +1,226 @@
+"""Find what the simulator's equations mean by probing the right-hand side, not by reading it.
+
+A state whose derivative is another state times a constant is a position; a parameter whose doubling
+halves a velocity's derivative is its inertia; a square root marks a fluid store; units come from the
+outputs and spread along the kinematic chain.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pwaid.mismatch.plant import Plant
+from pwaid.mismatch.structure import Structure
+from pwaid.mismatch.units import parse_unit, unit_kind
+
+__all__ = ["find_structure"]
+
+_SPEEDS = ("speed", "angular_speed")
+_NAMES = {
+    "fluid": ("h", "level", "hl", "hu", "p", "pressure", "head", "vol", "volume"),
+    "thermal": ("temp", "temperature", "tw", "tb", "t1", "t2", "t"),
+    "velocity": ("v", "vel", "omega", "w", "speed", "dq", "dtheta", "qd", "thetadot", "xdot", "dx"),
+    "electrical": ("i", "current", "vc", "il", "q"),
+}
+
+
+def find_structure(plant: Plant, states, inputs, outputs, input_units, output_units, sample_time, length,
+                   free=()):
+    """Probe the plant over the states met in a simulation of the recordings.
+
+    Parameters
+    ----------
+    states, inputs, outputs : (N, nx), (N, nu), (N, ny) arrays of the refitted nominal simulation.
+    input_units, output_units : unit texts per channel.
+    sample_time, length : seconds.
+    free : names of free parameters.
+    """
+    states = np.asarray(states, dtype=float)
+    good = np.all(np.isfinite(states), axis=1)
+    states = states[good] if good.any() else np.zeros_like(states)
+    nx, nu, _ = plant.sizes
+    low, high = np.quantile(states, 0.002, axis=0), np.quantile(states, 0.998, axis=0)
+    rms_u = np.sqrt(np.mean(inputs**2, axis=0)) if nu else np.zeros(0)
+    rng = np.random.default_rng(0)
+    points = [(low + (high - low) * rng.uniform(size=nx), rms_u * rng.normal(size=nu)) for _ in range(12)]
+    partner, ratio = _kinematics(plant, points, low, high)
+    output_state, gains = _output_map(plant, points, low, high)
+    in_units = tuple(parse_unit(u) for u in input_units)
+    out_units = tuple(parse_unit(u) for u in output_units)
+    units = [{} for _ in range(nx)]
+    kinds = [""] * nx
+    for k, i in enumerate(output_state):
+        if i >= 0 and abs(gains[k] - 1) < 1e-6:
+            units[i] = out_units[k]
+    _spread_units(units, partner)
+    for i in range(nx):
+        kinds[i] = _kind_of(i, plant, partner, units, output_state, output_units)
+    _guess_stores(kinds, plant, points, high)
+    default_angle = any(unit_kind(u) == "torque" for u in input_units)
+    for i in range(nx):
+        if kinds[i] in ("velocity", "position") and not units[i]:
+            base = {"rad": 1} if default_angle or "th" in plant.state_names[i].lower() else {"m": 1}
+            units[i] = {**base, "s": -1} if kinds[i] == "velocity" else base
+    for kind in ("fluid", "thermal"):
+        known = next((units[i] for i in range(nx) if kinds[i] == kind and units[i]), {})
+        for i in range(nx):
+            if kinds[i] == kind and not units[i]:
+                units[i] = known
+    entry, scale, funits, iunits, mobility = _force_entries(plant, kinds, points, low, high, rms_u,
+                                                            input_units, units)
+    dy = np.diff(outputs, axis=0) / sample_time
+    active = np.std(outputs, axis=0) > 0
+    ratios = np.std(outputs, axis=0)[active] / np.maximum(np.std(dy, axis=0)[active], 1e-300)
+    time_scale = float(np.clip(np.median(ratios) if ratios.size else 1.0, 2 * sample_time, length / 4))
+    return Structure(
+        plant, tuple(kinds), partner, ratio, entry, scale, tuple(units), funits, iunits, low, high, rms_u,
+        np.max(np.abs(inputs), axis=0) if nu else np.zeros(0), in_units, np.min(outputs, axis=0),
+        np.max(outputs, axis=0), out_units, output_state, time_scale, float(length), tuple(free), mobility)
+
+
+def _kinematics(plant, points, low, high):
+    nx = plant.sizes[0]
+    partner, ratio = -np.ones(nx, dtype=np.int64), np.zeros(nx)
+    if plant.dt:
+        return partner, ratio
+    F = np.array([plant.derivative(x, u) for x, u in points])
+    Xs = np.array([x for x, _ in points])
+    for i in range(nx):
+        for j in range(nx):
+            if i == j or np.ptp(Xs[:, j]) == 0:
+                continue
+            c = F[:, i] @ Xs[:, j] / max(Xs[:, j] @ Xs[:, j], 1e-300)
+            if c != 0 and np.allclose(F[:, i], c * Xs[:, j], rtol=1e-9, atol=1e-12 * np.max(np.abs(F[:, i]))):
+                # a store emptying into the next is not a speed: the other way round must not hold a loss only
+                partner[i], ratio[i] = j, c
+    for i in range(nx):  # a chain position -> speed -> acceleration keeps only its first link
+        if partner[i] >= 0 and partner[partner[i]] >= 0:
+            partner[partner[i]] = -1
+    return partner, ratio
+
+
+def _output_map(plant, points, low, high):
+    ny = plant.sizes[2]
+    G = np.array([plant.outputs(x, u) for x, u in points])
+    Xs = np.array([x for x, _ in points])
+    found, gains = [-1] * ny, [0.0] * ny
+    for k in range(ny):
+        for i in range(Xs.shape[1]):
+            c = G[:, k] @ Xs[:, i] / max(Xs[:, i] @ Xs[:, i], 1e-300)
+            if np.any(G[:, k]) and np.allclose(G[:, k], c * Xs[:, i], rtol=1e-9,
+                                               atol=1e-12 * np.max(np.abs(G[:, k]))):
+                found[k], gains[k] = i, c
+    return tuple(found), gains
+
+
+def _spread_units(units, partner):
+    for i, j in enumerate(partner):
+        if j >= 0:
+            if units[i] and not units[j]:
+                units[j] = {**units[i], "s": units[i].get("s", 0) - 1}
+            elif units[j] and not units[i]:
+                units[i] = {s: p for s, p in {**units[j], "s": units[j].get("s", 0) + 1}.items() if p}
+
+
+def _kind_of(i, plant, partner, units, output_state, output_units):
+    if partner[i] >= 0:
+        return "position"
+    if i in partner:
+        return "velocity"
+    if plant.dt and plant.linear:
+        return "abstract"
+    for k, state in enumerate(output_state):
+        if state == i:
+            kind = unit_kind(output_units[k])
+            if kind in _SPEEDS:
+                return "velocity"
+            if kind in ("length", "pressure", "volume", "flow"):
+                return "fluid"
+            if kind == "temperature":
+                return "thermal"
+            if kind in ("current", "charge"):
+                return "electrical"
+    name = plant.state_names[i].lower().rstrip("0123456789_")
+    for kind, names in _NAMES.items():
+        if name in names or plant.state_names[i].lower() in names:
+            return kind
+    return "abstract" if plant.linear else "unknown"
+
+
+def _guess_stores(kinds, plant, points, high):
+    """Undecided states: stores when the right-hand side holds a square root of them, else like their siblings."""
+    for i, kind in enumerate(kinds):
+        if kind not in ("unknown", "electrical"):
+            continue
+        x, u = points[0][0].copy(), points[0][1]
+        a = max(abs(high[i]), 1e-9) / 4
+        values = []
+        for m in (0.0, 1.0, 4.0):
+            z = x.copy()
+            z[i] = m * a
+            values.append(plant.derivative(z, u))
+        d1, d4 = values[1] - values[0], values[2] - values[0]
+        rooted = (np.abs(d1) > 0) & np.isclose(d4, 2 * d1, rtol=1e-3)
+        if rooted.any():
+            kinds[i] = "fluid"
+    decided = {k for k in kinds if k in ("fluid", "thermal")}
+    for i, kind in enumerate(kinds):
+        if kind == "unknown":
+            kinds[i] = decided.pop() if len(decided) == 1 else ("store" if not decided else "unknown")
+            decided = {k for k in kinds if k in ("fluid", "thermal")}
+
+
+def _force_entries(plant, kinds, points, low, high, rms_u, input_units, units):
+    entry, scale, funits, iunits, mobility = {}, {}, {}, {}, {}
+    p = plant.vector()
+    base = np.array([plant.derivative(x, u) for x, u in points])
+    halves = {}
+    for k in range(len(plant.parameters)):
+        q = p.copy()
+        q[k] *= 2.0
+        if q[k] != p[k]:
+            halves[k] = np.array([plant.derivative(x, u, q) for x, u in points])
+    nu = plant.sizes[1]
+    gain = np.zeros((len(kinds), nu))
+    affine = np.ones((len(kinds), nu), dtype=bool)
+    for j in range(nu):
+        columns = []
+        for x, u in points:
+            d = np.zeros(nu)
+            d[j] = max(rms_u[j], 1e-9)
+            columns.append((plant.derivative(x, u + d) - plant.derivative(x, u)) / d[j])
+        columns = np.array(columns)
+        gain[:, j] = np.mean(columns, axis=0)
+        affine[:, j] = np.all(np.isclose(columns, gain[:, j], rtol=0.6, atol=1e-12), axis=0)
+    for i, kind in enumerate(kinds):
+        if kind != "velocity":
+            continue
+        inertia = [k for k, h in halves.items()
+                   if np.any(base[:, i]) and np.allclose(2 * h[:, i], base[:, i], rtol=1e-9, atol=1e-14)]
+        forces = [j for j in range(nu) if unit_kind(input_units[j]) in ("force", "torque") and gain[i, j] != 0
+                  and affine[i, j]]
+        angular = any(s in units[i] for s in ("rad", "deg", "rev", "mrad"))
+        funits[i] = {"N": 1, "m": 1} if angular else {"N": 1}
+        iunits[i] = {"kg": 1, "m": 2} if angular else {"kg": 1}
+        if inertia:
+            entry[i] = (1, i, inertia[0])
+            mobility[i] = 1.0 / p[inertia[0]]
+        elif forces:
+            j = max(forces, key=lambda j: abs(gain[i, j]))
+            entry[i] = (0, j, -1)
+            funits[i] = parse_unit(input_units[j])
+            mobility[i] = abs(gain[i, j])
+        else:
+            entry[i] = (1, i, -1)
+            mobility[i] = 1.0
+            funits[i] = {**units[i], "s": units[i].get("s", 0) - 1}
+            iunits[i] = {}
+        parts = [abs(gain[i, j]) * rms_u[j] for j in range(nu)]
+        for m in range(len(kinds)):
+            x = 0.5 * (low + high)
+            up, dn = x.copy(), x.copy()
+            up[m], dn[m] = high[m], low[m]
+            parts.append(abs(plant.derivative(up, np.zeros(nu))[i] - plant.derivative(dn, np.zeros(nu))[i]) / 3.5)
+        parts.append(float(np.std(base[:, i])) * 0.3)
+        scale[i] = max([q for q in parts if np.isfinite(q)] + [1e-12]) / mobility[i]
+    return entry, scale, funits, iunits, mobility
