@@ -18,6 +18,7 @@ ORDER = [
     ["recording"],
     ["vertices"],
     ["walk"],
+    ["triangulation"],
     ["delaunay"],
     ["lerp"],
     ["assembly"],

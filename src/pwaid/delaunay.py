@@ -3,36 +3,28 @@
 A mesh is triangulated in normalised coordinates z = (x − offset) · matrixᵀ, because inputs of different
 physical units have no common length (2011: the units 1.5 A and 35 rad/s; 2014 Example 2: Σ^(−1/2)). Points go in
 and come out in physical units; distances, heights and facet measures are those of the normalised coordinates.
-
-Slivers. A simplex whose smallest singular value (about its smallest height) is below 1e-7 of its longest edge is
-*degenerate*: rounding decides its shape. Degenerate simplices that lie on the boundary are dropped (it moves by
-rounding only). When one is left inside, as Qhull gives for points on a lattice from d = 3 on and for the corners of
-a box, dropping it would tear the map; the vertices of such simplices are then moved by a random 1 % of the mesh
-spacing (3 %, then 10 %, if that does not help) and triangulated again. Vertices on the boundary move outwards only,
-so the mesh still covers what it covered. `SimplexMesh.quality` reports how many simplices were dropped, how far
-points moved, and the worst aspect ratio left.
+Slivers are handled by the rule in `pwaid.triangulation`; `SimplexMesh.quality` reports what was done.
 """
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
 
 import numpy as np
-from scipy.spatial import ConvexHull, Delaunay, QhullError, cKDTree
+from scipy.spatial import ConvexHull, cKDTree
 
-from pwaid import vertices, walk
+from pwaid import triangulation, vertices, walk
 from pwaid.errors import InputError, OutsideMeshError
 from pwaid.recording import check_finite
+from pwaid.triangulation import MeshQuality
 
 __all__ = ["Facets", "MeshQuality", "Scaling", "SimplexMesh"]
 
 # Coordinates down to minus this count as inside: a point on the hull, after rounding, belongs to the mesh.
 INSIDE_TOLERANCE = 1e-10
-DEGENERATE = 1e-7
-JITTERS = (1e-2, 1e-2, 3e-2, 3e-2, 1e-1, 1e-1)
+UNTOUCHED = MeshQuality()
 
 
 @dataclass(frozen=True, eq=False)
@@ -74,23 +66,6 @@ class Scaling:
     def undo(self, Z: np.ndarray) -> np.ndarray:
         """Normalised to physical, shape (N, d)."""
         return np.linalg.solve(self.matrix, Z.T).T + self.offset
-
-
-@dataclass(frozen=True)
-class MeshQuality:
-    """What was done to slivers, and how thin the ones left are."""
-
-    dropped: int = 0
-    moved: int = 0
-    largest_move: float = 0.0
-    worst_aspect_ratio: float = math.nan
-
-    def __str__(self) -> str:
-        return (
-            f"worst aspect ratio (longest edge / smallest height) {self.worst_aspect_ratio:.3g}; "
-            f"{self.dropped} degenerate simplices dropped; {self.moved} points moved by at most "
-            f"{self.largest_move:.3g} (normalised)"
-        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,7 +115,7 @@ class SimplexMesh:
     simplices: np.ndarray
     neighbors: np.ndarray
     scaling: Scaling
-    quality: MeshQuality = MeshQuality()
+    quality: MeshQuality = UNTOUCHED
     convex: bool = True
 
     def __post_init__(self) -> None:
@@ -182,7 +157,7 @@ class SimplexMesh:
                 f"the {n} points lie in a plane of fewer than {d} dimensions (collinear inputs); "
                 "leave out the redundant input"
             )
-        Z, simplices, quality = _triangulate(Z)
+        Z, simplices, quality = triangulation.triangulate(Z)
         if quality.moved:
             P = scaling.undo(Z)
         return cls._assemble(P, simplices, scaling, quality)
@@ -193,7 +168,8 @@ class SimplexMesh:
         used = np.zeros(len(P), bool)
         used[simplices] = True
         simplices = (np.cumsum(used) - 1)[simplices]
-        mesh = cls(P[used].copy(), simplices.astype(np.int32), _neighbors(simplices), scaling, quality, convex)
+        neighbors = triangulation.neighbors(simplices)
+        mesh = cls(P[used].copy(), simplices.astype(np.int32), neighbors, scaling, quality, convex)
         return replace(mesh, quality=replace(quality, worst_aspect_ratio=float(mesh.aspect_ratios.max())))
 
     @classmethod
@@ -243,7 +219,7 @@ class SimplexMesh:
             raise InputError(f"shape is {counts.tolist()}; expected at least 2 points a dimension")
         axes = [np.linspace(a, b, m) for (a, b), m in zip(box, counts, strict=True)]
         P = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, d)
-        return cls._assemble(P, _kuhn(counts), _box_scaling(box), MeshQuality())
+        return cls._assemble(P, triangulation.kuhn(counts), _box_scaling(box), UNTOUCHED)
 
     # -- shape -----------------------------------------------------------------------------------------------
 
@@ -291,12 +267,12 @@ class SimplexMesh:
     @cached_property
     def volumes(self) -> np.ndarray:
         """Normalised volumes, shape (n_simplices,)."""
-        return _volumes(self.normalised, self.simplices)
+        return triangulation.volumes(self.normalised, self.simplices)
 
     @cached_property
     def aspect_ratios(self) -> np.ndarray:
         """Longest edge over smallest height of each simplex, shape (n_simplices,)."""
-        return _longest_edges(self.normalised, self.simplices) / self.heights.min(axis=1)
+        return triangulation.longest_edges(self.normalised, self.simplices) / self.heights.min(axis=1)
 
     @cached_property
     def facets(self) -> Facets:
@@ -419,133 +395,9 @@ class SimplexMesh:
         return self._assemble(self.points, self.simplices[keep], self.scaling, self.quality, convex=False)
 
 
-# -- helpers -------------------------------------------------------------------------------------------------
-
-
 def _box_scaling(bounds: Any) -> Scaling:
     box = vertices.as_bounds(bounds)
     return Scaling.units((box[:, 1] - box[:, 0]) / 2, box.mean(axis=1))
-
-
-def _volumes(Z: np.ndarray, simplices: np.ndarray) -> np.ndarray:
-    V = Z[simplices]
-    return np.abs(np.linalg.det(V[:, 1:] - V[:, :1])) / math.factorial(Z.shape[1])
-
-
-def _longest_edges(Z: np.ndarray, simplices: np.ndarray) -> np.ndarray:
-    longest = np.zeros(len(simplices))
-    for i in range(simplices.shape[1]):
-        for j in range(i):
-            longest = np.maximum(longest, np.linalg.norm(Z[simplices[:, i]] - Z[simplices[:, j]], axis=1))
-    return longest
-
-
-def _neighbors(simplices: np.ndarray) -> np.ndarray:
-    """The simplex across the facet opposite each vertex, −1 where there is none."""
-    n, k = simplices.shape
-    facets = np.stack([np.delete(simplices, j, axis=1) for j in range(k)], axis=1).reshape(n * k, k - 1)
-    facets = np.sort(facets, axis=1)
-    order = np.lexsort(facets.T)
-    same = np.all(facets[order[1:]] == facets[order[:-1]], axis=1)
-    a, b = order[:-1][same], order[1:][same]
-    neighbors = np.full(n * k, -1, dtype=np.int64)
-    neighbors[a], neighbors[b] = b // k, a // k
-    return neighbors.reshape(n, k)
-
-
-def _kuhn(counts: np.ndarray) -> np.ndarray:
-    """Simplices of a grid: in each cell, one for every order in which the d coordinates can be raised."""
-    from itertools import permutations
-
-    d = len(counts)
-    strides = np.append(np.cumprod(counts[::-1])[-2::-1], 1) if d > 1 else np.array([1])
-    cells = np.stack(np.meshgrid(*[np.arange(m - 1) for m in counts], indexing="ij"), axis=-1).reshape(-1, d)
-    base = cells @ strides
-    paths = [np.concatenate([[0], np.cumsum(strides[list(order)])]) for order in permutations(range(d))]
-    return (base[:, None, None] + np.array(paths)[None]).reshape(-1, d + 1)
-
-
-def _delaunay(Z: np.ndarray) -> np.ndarray:
-    if Z.shape[1] == 1:
-        order = np.argsort(Z[:, 0])
-        return np.column_stack([order[:-1], order[1:]])
-    try:
-        return Delaunay(Z).simplices
-    except QhullError as error:
-        raise InputError(
-            f"the points cannot be triangulated ({str(error).splitlines()[0]}); are inputs collinear, or of very "
-            "different size? normalise with scaling=Scaling.covariance(X)"
-        ) from error
-
-
-def _degenerate(Z: np.ndarray, simplices: np.ndarray) -> np.ndarray:
-    V = Z[simplices]
-    smallest = np.linalg.svd(V[:, 1:] - V[:, :1], compute_uv=False)[:, -1]
-    return smallest <= DEGENERATE * _longest_edges(Z, simplices)
-
-
-def _peel(Z: np.ndarray, simplices: np.ndarray) -> np.ndarray:
-    """Drop degenerate simplices that lie on the boundary with one whole side, again and again.
-
-    A flat simplex has two sides of equal measure. Where boundary facets make up one of them, the other side takes
-    their place; one that touches the boundary only with its rim stands inside, and without it the mesh would tear.
-    """
-    while True:
-        flat = np.flatnonzero(_degenerate(Z, simplices))
-        if flat.size == 0:
-            return simplices
-        measures = _side_measures(Z, simplices[flat])
-        outer = np.where(_neighbors(simplices)[flat] < 0, measures, 0.0).sum(axis=1)
-        lying = flat[outer >= 0.499 * measures.sum(axis=1)]
-        if lying.size == 0:
-            return simplices
-        simplices = np.delete(simplices, lying, axis=0)
-
-
-def _side_measures(Z: np.ndarray, simplices: np.ndarray) -> np.ndarray:
-    """Relative measure of the facet opposite each vertex, shape (n, d + 1)."""
-    columns = []
-    for j in range(simplices.shape[1]):
-        V = Z[np.delete(simplices, j, axis=1)]
-        E = V[:, 1:] - V[:, :1]
-        columns.append(np.sqrt(np.maximum(np.linalg.det(E @ E.transpose(0, 2, 1)), 0.0)))
-    return np.column_stack(columns)
-
-
-def _triangulate(Z: np.ndarray) -> tuple[np.ndarray, np.ndarray, MeshQuality]:
-    """Delaunay without degenerate simplices, by the rule in the head of this file."""
-    n, d = Z.shape
-    original, moved = Z, np.zeros(n, bool)
-    noise = np.random.default_rng(0).uniform(-1, 1, (n, d))
-    spacing = np.ptp(Z, axis=0).max() * n ** (-1.0 / d)
-    for jitter in (*JITTERS, None):
-        full = _delaunay(Z)
-        simplices = _peel(Z, full)
-        flat = _degenerate(Z, simplices)
-        if not flat.any():
-            largest = float(np.linalg.norm(Z - original, axis=1).max())
-            return Z, simplices, MeshQuality(len(full) - len(simplices), int(moved.sum()), largest)
-        if jitter is None:
-            break
-        if not moved.any():
-            noise = _outwards(Z, full, noise)
-        moved[simplices[flat]] = True
-        Z = original + jitter * spacing * moved[:, None] * noise
-    raise InputError(
-        f"{int(flat.sum())} simplices of zero volume remain after moving points by {JITTERS[-1]:.0%} of their "
-        "spacing; use fewer or less regular points, or SimplexMesh.grid"
-    )
-
-
-def _outwards(Z: np.ndarray, simplices: np.ndarray, noise: np.ndarray) -> np.ndarray:
-    """The noise, turned away from the centre at boundary vertices."""
-    s, j = np.nonzero(_neighbors(simplices) < 0)
-    rim = np.zeros(len(Z), bool)
-    for k in range(simplices.shape[1]):
-        rim[simplices[s[j != k], k]] = True
-    outwards = Z - Z.mean(axis=0)
-    outwards /= np.maximum(np.linalg.norm(outwards, axis=1, keepdims=True), np.finfo(float).tiny)
-    return np.where(rim[:, None], outwards * np.abs(noise[:, :1]), noise)
 
 
 def _separated(mesh: SimplexMesh, region: np.ndarray) -> np.ndarray:

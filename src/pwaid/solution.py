@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from pwaid.errors import InputError, SolverError
+from pwaid.problem import HingeProblem
 from pwaid.pwa_map import PWAMap
 
-__all__ = ["Path", "Solution", "Status"]
+__all__ = ["Path", "Solution", "Status", "affine_solution"]
 
 
 class Status(Enum):
@@ -96,6 +97,24 @@ class Solution:
         if not self.status.ok:
             raise SolverError(f"{self.method} at λ = {self.lam:.4g} ended with gap {self.gap:.1e}: {self.status.value}")
         return self
+
+
+def affine_solution(problem: HingeProblem, lam: float, seconds: float = 0.0) -> Solution:
+    """The solution when y is affine to rounding: its fit is exact, and nothing is left to solve at any λ."""
+    values = problem.affine_values.copy()
+    return Solution(
+        values=values,
+        lam=lam,
+        objective=problem.objective(values, lam),
+        gap=0.0,
+        status=Status.SOLVED,
+        iterations=0,
+        seconds=seconds,
+        method="affine",
+        nu=np.zeros(problem.n_hinges),
+        n_broken=0,
+        message="y is affine to rounding",
+    )
 
 
 @dataclass(frozen=True, eq=False)

@@ -10,7 +10,7 @@ from pwaid.admm import ADMMState, solve_admm
 from pwaid.engine import solve_engine
 from pwaid.errors import InputError
 from pwaid.problem import HingeProblem
-from pwaid.solution import Solution, Status
+from pwaid.solution import Solution, affine_solution
 
 __all__ = ["METHODS", "SOLVERS", "check_lambda", "solve"]
 
@@ -76,7 +76,7 @@ def solve(
     if not 0.0 < tol < 1.0:
         raise InputError(f"tol is {tol}; expected a relative gap between 0 and 1, e.g. 1e-4")
     if problem.is_affine:
-        return _flat(problem, lam)
+        return affine_solution(problem, lam)
     if method in SOLVERS:
         from pwaid.reference import solve_reference  # cvxpy takes a second to load
 
@@ -90,20 +90,3 @@ def solve(
         other = solve_admm(problem, lam, tol=tol, **limit)
         return other if other.gap < solution.gap else solution
     return solution
-
-
-def _flat(problem: HingeProblem, lam: float) -> Solution:
-    """The affine fit, which is exact: nothing is left to solve."""
-    values = problem.affine_values.copy()
-    return Solution(
-        values=values,
-        lam=lam,
-        objective=problem.objective(values, lam),
-        gap=0.0,
-        status=Status.SOLVED,
-        iterations=0,
-        seconds=0.0,
-        method="affine",
-        nu=np.zeros(problem.n_hinges),
-        n_broken=0,
-    )

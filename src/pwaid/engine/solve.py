@@ -11,7 +11,7 @@ import numpy as np
 from pwaid.engine.interior import InteriorState, Operators, advance, begin_direction, cold_start, dual_point, shifted
 from pwaid.errors import InputError
 from pwaid.problem import HingeProblem
-from pwaid.solution import Solution, Status
+from pwaid.solution import Solution, Status, affine_solution
 
 __all__ = ["solve_engine"]
 
@@ -61,7 +61,7 @@ def solve_engine(
     lam, tol = _positive(lam, "lam"), _positive(tol, "tol")
     began = time.perf_counter()
     if problem.is_affine:
-        return _affine(problem, lam, began)
+        return affine_solution(problem, lam, time.perf_counter() - began)
     state = _begin(problem, lam, warm_start)
     ops = Operators.of(problem)
     best = _Best(problem, lam)
@@ -109,16 +109,6 @@ def _begin(problem: HingeProblem, lam: float, warm_start: Any) -> InteriorState:
     if not 1.0 / NEAR <= lam / warm_start.lam <= NEAR:
         return cold_start(problem, lam)
     return shifted(warm_start, lam)
-
-
-def _affine(problem: HingeProblem, lam: float, began: float) -> Solution:
-    """y is affine to rounding: its fit is the solution at every λ, and the objective is rounding."""
-    values = problem.affine_values.copy()
-    return Solution(
-        values=values, lam=lam, objective=problem.objective(values, lam), gap=0.0, status=Status.SOLVED, iterations=0,
-        seconds=time.perf_counter() - began, method="engine", nu=np.zeros(problem.n_hinges), n_broken=0,
-        message="y is affine to rounding",
-    )  # fmt: skip
 
 
 class _Best:
