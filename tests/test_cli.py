@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import json
 
 import numpy as np
 import pytest
@@ -76,7 +77,36 @@ def test_an_internal_failure_is_exit_code_1(table, monkeypatch, capsys):
     assert "internal failure" in capsys.readouterr().err
 
 
-def test_demo_runs_and_says_where(tmp_path, capsys):
-    assert main(["demo", "-o", str(tmp_path / "demo")]) == 0
+def test_demo_sweeps_and_explains_and_says_where(tmp_path, capsys):
+    out = tmp_path / "demo"
+    assert main(["demo", "-o", str(out)]) == 0
     text = capsys.readouterr().out
-    assert "error against the noise-free pyramid" in text and (tmp_path / "demo" / "map.png").exists()
+    assert "error against the noise-free pyramid" in text and (out / "sweep" / "map.png").exists()
+    report = json.loads((out / "explained" / "report.json").read_text())
+    assert report["schema"] == "pwaid.mismatch/1" and report["verdict"] == "named"
+    assert [e["id"] for e in report["effects"]] == ["coulomb_friction"]
+    assert str(out / "explained" / "report.html") in text
+
+
+def test_explain_refuses_a_folder_without_a_case_in_one_line(tmp_path, capsys):
+    assert main(["explain", str(tmp_path), "-o", str(tmp_path / "out")]) == 2
+    err = capsys.readouterr().err
+    assert "case.toml" in err and len(err.strip().splitlines()) == 1 and not (tmp_path / "out").exists()
+
+
+def test_explain_refuses_an_unknown_effect_and_bad_jobs(tmp_path, capsys):
+    from pwaid.mismatch import demo_case_path
+
+    out = str(tmp_path / "out")
+    assert main(["explain", str(demo_case_path()), "-o", out, "--without", "gremlins"]) == 2
+    assert "gremlins" in capsys.readouterr().err
+    with pytest.raises(SystemExit) as stop:
+        main(["explain", str(demo_case_path()), "--jobs", "0"])
+    assert stop.value.code == 2
+
+
+def test_effects_lists_the_catalogue(capsys):
+    assert main(["effects"]) == 0
+    text = capsys.readouterr().out
+    for name in ("coulomb_friction", "backlash", "overflow", "parameter_drift", "sensor_quantization"):
+        assert f"{name}  (" in text

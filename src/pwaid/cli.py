@@ -119,7 +119,7 @@ def _explain(options: argparse.Namespace) -> int:
         report = mismatch.explain_case(
             options.case, out, jobs=options.jobs, progress=progress, without=tuple(options.without)
         )
-    print(report.summary())
+    print(report.summary)
     print(f"\nwritten: {', '.join(sorted(p.name for p in out.iterdir()))} in {out}")
     return 0
 
@@ -228,7 +228,7 @@ def _demo(options: argparse.Namespace) -> int:
     print("\nA machine that its simulator does not match: what was left out?")
     with _Percent() as progress:
         report = mismatch.explain_case(mismatch.demo_case_path(), out / "explained", jobs=2, progress=progress)
-    print(report.summary())
+    print(report.summary)
     print(f"\nreport: {out / 'explained' / 'report.html'}  ({time.perf_counter() - began:.1f} s in all)")
     return 0
 
