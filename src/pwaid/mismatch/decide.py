@@ -119,7 +119,7 @@ def decide(problem: Problem, null: Hypothesis, singles: Sequence[Hypothesis], pa
     reasons: list[str] = []
     share = t.share if problem.floor.trusted else t.share_tentative
     passed = [h for h in singles if _passes(problem, h, null, share)]
-    passed = _judge(passed, reasons)
+    passed = _judge(problem, passed, reasons)
     if at_floor(problem, t):
         reasons.append("the refitted simulator is at the noise floor on the held-out recordings")
         return Decision(_agreement_or_parameters(problem, t), null, (), (), tuple(reasons))
@@ -156,10 +156,10 @@ def _passes(problem, h: Hypothesis, null: Hypothesis, share: float) -> bool:
     return bool(np.all(after < before) and np.all(after_t < before_t))
 
 
-def _judge(passed, reasons):
+def _judge(problem, passed, reasons):
     kept = []
     for h in passed:
-        reason = veto(h)
+        reason = veto(problem, h)
         if reason:
             reasons.append(f"{h.label}: {reason}")
         else:
@@ -218,7 +218,7 @@ def _passing_pairs(problem, null, singles, pairs, share, t, reasons):
         if any(_gain(problem, p, h) < t.second_share for p in better):
             continue
         found.append(h)
-    return sorted(_judge(found, reasons), key=_score)
+    return sorted(_judge(problem, found, reasons), key=_score)
 
 
 def _gain(problem, single: Hypothesis, pair: Hypothesis) -> float:

@@ -98,11 +98,15 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
         if any(len(r.time) == len(q.time) and np.array_equal(r.outputs, q.outputs) for q in train):
             raise InputError(f"test recording {r.name} is also a training recording; hold one out")
     say(0.02, "refitting the nominal simulator")
-    named = {r.name: r.outputs for r in (*train, *test)}
+    named = {r.name: r for r in (*train, *test)}
+    groups = [[named[n] for n in group if n in named] for group in repeats]
+    kept = [g for g in groups if len(g) > 1 and _same_input(g)]
+    if len(kept) < len(groups):
+        notes.append("repeated recordings with different inputs (a closed loop?) say nothing about the floor: not used")
     problem = prepare(plant, data, held, [units.get(n, "") for n in train[0].input_names],
                       [units.get(n, "") for n in train[0].output_names], free_parameters, tolerances,
                       noise_floor,
-                      [[named[n] for n in group if n in named] for group in repeats], hold == "first")
+                      [[r.outputs for r in g] for g in kept], hold == "first")
     notes += hygiene(problem, closed_loop)
     catalogue = [e for e in (CATALOGUE if effects is None else effects) if e.id not in without]
     located = locate_effects(catalogue, problem.structure)
@@ -127,6 +131,14 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
                           len(located) + len(pairs), clock.perf_counter() - started)
     say(1.0, "done")
     return report
+
+
+def _same_input(group) -> bool:
+    """Whether recordings called repeats saw the same input, to 1 % of its variation."""
+    n = min(len(r.time) for r in group)
+    first = group[0].inputs[:n]
+    spread = np.std(first, axis=0) + 1e-12
+    return all(np.all(np.sqrt(np.mean((r.inputs[:n] - first) ** 2, axis=0)) < 0.01 * spread) for r in group[1:])
 
 
 def _worth_pairs(problem, null, singles) -> bool:

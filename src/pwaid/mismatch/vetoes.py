@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from pwaid.mismatch.floor import white_level
 from pwaid.mismatch.hypotheses import Hypothesis
+from pwaid.mismatch.nullfit import Problem
 
 __all__ = ["at_bound", "veto"]
 
@@ -22,7 +24,7 @@ def at_bound(h: Hypothesis, tolerance: float = 1e-6) -> list[str]:
     return found
 
 
-def veto(h: Hypothesis) -> str:
+def veto(problem: Problem, h: Hypothesis) -> str:
     """Why this hypothesis cannot stand, or an empty text."""
     k = h.fit.model.np
     for e in h.located:
@@ -32,8 +34,12 @@ def veto(h: Hypothesis) -> str:
         if not np.all(np.isfinite(values)):
             return "its parameters are not finite"
         first = e.effect.quantities[0] if e.effect.quantities else None
-        if first is not None and first.log and z[0] <= np.log(first.low) + 1e-6:
-            return f"{first.name} went to zero"
+        for q, v in zip(e.effect.quantities, z, strict=True):
+            size = q is first or q.name.startswith(("level", "coefficient", "excess"))
+            if q.log and size and v <= np.log(q.low) + 0.05:
+                return f"{q.name} went to zero"
+        if e.effect.id == "sensor_saturation" and _beyond(problem, e, values[0]):
+            return "the recording goes beyond the limit that is said to clip it"
         if e.effect.id == "end_stop" and abs(z[1]) >= 0.9999:
             return "the stop lies outside the travelled range"
         if e.effect.id in ("sensor_saturation", "actuator_saturation", "overflow"):
@@ -41,3 +47,16 @@ def veto(h: Hypothesis) -> str:
             if top >= 0.9995 and first.high <= 1.0:
                 return "the limit lies outside the visited range"
     return ""
+
+
+def _beyond(problem: Problem, located, limit: float) -> bool:
+    """Whether the output passes the limit by more than its noise in over 1 % of some recording's samples."""
+    k, side = located.place.ii[7], located.place.ii[10]
+    for data in (problem.train, problem.test):
+        for a, b in data.recordings:
+            y = data.Y[a:b, k]
+            margin = 5.0 * white_level(y, 4) + 0.01 * np.std(y)
+            over = {0: np.abs(y) - abs(limit), 1: y - limit, -1: limit - y}[side]
+            if np.mean(over > margin) > 0.01:
+                return True
+    return False
