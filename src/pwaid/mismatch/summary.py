@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import math
 import textwrap
 
-__all__ = ["number", "summary_text"]
+__all__ = ["number", "summary_text", "with_interval"]
 
 
 def number(x: float | None, digits: int = 3) -> str:
@@ -12,8 +13,17 @@ def number(x: float | None, digits: int = 3) -> str:
     return "n/a" if x is None else f"{x:.{digits}g}"
 
 
+def with_interval(value: float | None, low: float | None, high: float | None) -> str:
+    """A value and its interval, with as many digits as the interval's width supports (at least three)."""
+    width = 0.0 if low is None or high is None else high - low
+    digits = 3
+    if width > 0 and value:
+        digits = min(8, max(3, 2 + math.ceil(math.log10(abs(value) / width))))
+    return f"{number(value, digits)} ({number(low, digits)} to {number(high, digits)})"
+
+
 def _effect_line(e: dict) -> str:
-    values = ", ".join(f"{name} = {number(v['value'])} ({number(v['low'])} to {number(v['high'])}) {v['unit']}".rstrip()
+    values = ", ".join(f"{name} = {with_interval(v['value'], v['low'], v['high'])} {v['unit']}".rstrip()
                        for name, v in e["parameters"].items())
     where = e["where"]["signal"] + (f", {e['where']['note']}" if e["where"].get("note") else "")
     return f"{e['id'].replace('_', ' ')} at {e['where']['kind']} {where}: {e['law']}" + (f"; {values}"
@@ -43,7 +53,7 @@ def summary_text(c: dict) -> str:
             r = [number(stages[s]["rmse"]) for s in ("nominal", "refitted", "repaired")]
             floor = number(c["noise_floor"][output])
             lines.append(f"  {recording} {output}: {r[0]} -> {r[1]} -> {r[2]}; floor {floor}")
-    moved = [f"{n} {number(v['nominal'])} -> {number(v['refitted'])} ({number(v['low'])} to {number(v['high'])})"
+    moved = [f"{n} {number(v['nominal'])} -> {with_interval(v['refitted'], v['low'], v['high'])}"
              for n, v in c["parameters"].items()]
     if moved:
         lines.append("Parameters: " + "; ".join(moved))
@@ -57,7 +67,7 @@ def summary_text(c: dict) -> str:
     bands = ", ".join(f"{a:.3g}-{b:.3g} Hz" for a, b in where["bands_hz"])
     if spots or bands:
         lines.append(f"Most of the mismatch: {spots}; {bands}")
-    lines.append(f"To be surer: {c['next_experiment']}")
+    lines.append(f"Next: {c['next_experiment']}")
     lines += [f"Note: {w}" for w in c["warnings"][:5]]
     lines.append(f"{c['hypotheses_tried']} hypotheses tried in {c['seconds']:.1f} s.")
     return "\n".join(line if len(line) < 112 else textwrap.fill(line, 112, subsequent_indent="    ")
