@@ -59,11 +59,11 @@ def update(t, x, u, params):
 
 
 def output(t, x, u, params):
-    return np.array([x[0], x[2], params["D_B"] * (x[1] - x[3]) + params["K"] * (x[0] - x[2])])
+    return np.array([x[0], x[2]])
 
 
 def build():
-    return control.nlsys(update, output, inputs=["T_M"], outputs=["theta_M", "theta_L", "T_s"],
+    return control.nlsys(update, output, inputs=["T_M"], outputs=["theta_M", "theta_L"],
                          states=["theta_M", "omega_M", "theta_L", "omega_L"], name="drive",
                          params={"J_M": 8.78e-4, "D_M": 9.30e-2, "K": 300.0, "D_B": 0.1, "J_L": 8.78e-4,
                                  "D_L": 3.60e-2})
@@ -75,6 +75,12 @@ def loop_recording(bench: Bench, kind: str, duration: float, size: float = 0.30,
     run = bench.closed_loop(step_reference(duration, size=size), LoopController(kind), rng=rng)
     outputs = np.column_stack([run.theta_M, run.theta_L, run.T_s])
     return Recording(run.time, run.T_M[:, None], outputs, ("T_M",), OUTPUTS, UNITS)
+
+
+def pieces(recording: Recording, name: str, samples: int) -> dict[str, Recording]:
+    """The recording cut into pieces with start states of their own: one contact makes a drive with a gap diverge."""
+    cuts = [recording[k:k + samples] for k in range(0, len(recording.time) - samples + 1, samples)]
+    return {f"{name}_{k:02d}.csv": c.replace(time=c.time - c.time[0]) for k, c in enumerate(cuts)}
 
 
 def sampled_loop(simulator, kind: str, duration: float, quantum: float) -> tuple[np.ndarray, np.ndarray]:
