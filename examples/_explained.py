@@ -8,7 +8,8 @@ import numpy as np
 def named_laws(report) -> list[tuple]:
     """(effect id, channel, parameters by name) of every effect of the repaired simulator."""
     h = report.best
-    return [(e.effect.id, e.place.channel, dict(zip([q.name for q in e.effect.quantities], map(float, v), strict=False)))
+    return [(e.effect.id, e.place.channel,
+             dict(zip([q.name for q in e.effect.quantities], map(float, v), strict=False)))
             for e, v in zip(h.located, h.values(), strict=True)]
 
 

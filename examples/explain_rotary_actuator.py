@@ -13,9 +13,9 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+
 from _common import options, result
 from _explained import dry_friction, named_laws, outcome
-
 from pwaid.mismatch import explain_case
 from pwaid.mismatch.case import write_case
 from pwaid.recording import Recording

@@ -34,6 +34,10 @@ HOLDS = {
     ) < 3.0,
     "explain_emps": lambda r: r["verdict"] == "named" and r["error_repaired"] < 8.5 < r["error_refitted"],
     "explain_tanks": lambda r: r["error_repaired"] < 0.8 * r["error_refitted"],
+    "explain_rotary_actuator": lambda r: all(
+        s["verdict"] == "named" and {"stribeck_friction", "coulomb_friction"} & set(s["effects"])
+        and s["friction_error_percent"] < 10 and s["error_repaired"] < 0.15 * s["error_refitted"]
+        for s in (r, r["dc_motor"])),
 }
 
 
