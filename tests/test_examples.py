@@ -38,6 +38,10 @@ HOLDS = {
         s["verdict"] == "named" and {"stribeck_friction", "coulomb_friction"} & set(s["effects"])
         and s["friction_error_percent"] < 10 and s["error_repaired"] < 0.15 * s["error_refitted"]
         for s in (r, r["dc_motor"])),
+    "explain_backlash": lambda r: r["effects"] == ["backlash"] and r["half_gap_error_percent"] < 3,
+    "explain_bench": lambda r: (
+        r["verdict"] == "named" and set(r["channels"]) == {"state:omega_M"} and r["overshoot_error_mrad"] < 1
+        and r["impact_error_percent"] < 3 and r["limit_cycle_right"]),
 }
 
 
