@@ -34,6 +34,14 @@ HOLDS = {
     ) < 3.0,
     "explain_emps": lambda r: r["effects"] == ["coulomb_friction"] and r["force_error_repaired_percent"] < 8,
     "explain_tanks": lambda r: r["error_repaired"] < 0.8 * r["error_refitted"],
+    "explain_rotary_actuator": lambda r: all(
+        s["verdict"] == "named" and {"stribeck_friction", "coulomb_friction"} & set(s["effects"])
+        and s["friction_error_percent"] < 10 and s["error_repaired"] < 0.15 * s["error_refitted"]
+        for s in (r, r["dc_motor"])),
+    "explain_backlash": lambda r: r["effects"] == ["backlash"] and r["half_gap_error_percent"] < 3,
+    "explain_bench": lambda r: (
+        r["verdict"] == "named" and set(r["channels"]) == {"state:omega_M"} and r["overshoot_error_mrad"] < 1
+        and r["impact_error_percent"] < 3 and r["limit_cycle_right"]),
 }
 
 

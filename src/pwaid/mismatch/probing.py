@@ -66,7 +66,8 @@ def find_structure(plant: Plant, states, inputs, outputs, input_units, output_un
         for i in range(nx):
             if kinds[i] == kind and not units[i]:
                 units[i] = known
-    entry, scale, funits, iunits, mobility = _force_entries(plant, kinds, points, low, high, rms_u,
+    visited, least, most = _joined_motion(points, states, kinds, low, high)
+    entry, scale, funits, iunits, mobility = _force_entries(plant, kinds, visited, least, most, rms_u,
                                                             input_units, units)
     dy = np.diff(outputs, axis=0) / sample_time
     active = np.std(outputs, axis=0) > 0
@@ -76,6 +77,28 @@ def find_structure(plant: Plant, states, inputs, outputs, input_units, output_un
         plant, tuple(kinds), partner, ratio, entry, scale, tuple(units), funits, iunits, low, high, rms_u,
         np.max(np.abs(inputs), axis=0) if nu else np.zeros(0), in_units, np.min(outputs, axis=0),
         np.max(outputs, axis=0), out_units, output_state, time_scale, float(length), tuple(free), mobility)
+
+
+def _joined_motion(points, states, kinds, low, high):
+    """Points and ranges for the sizes of forces where several positions move together.
+
+    Two bodies on one stiff shaft never are at independent positions: the force between them would come out as
+    stiffness times the whole travel. Each position keeps the range that the others leave open.
+    """
+    places = [i for i, kind in enumerate(kinds) if kind == "position"]
+    if len(places) < 2 or len(states) < 4 * len(places):
+        return points, low, high
+    least, most = low.copy(), high.copy()
+    centre = np.median(states, axis=0)
+    for i in places:
+        others = states[:, [j for j in places if j != i]] - centre[[j for j in places if j != i]]
+        slope = np.linalg.lstsq(others, states[:, i] - centre[i], rcond=None)[0]
+        free = states[:, i] - centre[i] - others @ slope
+        span = np.quantile(free, 0.998) - np.quantile(free, 0.002)
+        middle = 0.5 * (low[i] + high[i])
+        least[i], most[i] = middle - 0.5 * span, middle + 0.5 * span
+    rows = np.linspace(0, len(states) - 1, len(points)).astype(int)
+    return [(states[k], u) for k, (_, u) in zip(rows, points, strict=True)], least, most
 
 
 def _kinematics(plant, points, low, high):
