@@ -60,17 +60,18 @@ def recording(path: Path, factor: int, name: str) -> Recording:
                      ("force",), ("q", "v"), units, name=name)
 
 
-def force_error(report, path: Path, friction) -> float:
-    """Relative error of the inverse model's force on a record, filtered as its authors do (percent)."""
+def force_error(report, path: Path, stage: str, friction=None) -> float:
+    """Relative error of the inverse model's force on a record, filtered as its authors do (percent).
+
+    `stage` picks the parameters: "nominal", "without_effect" (the refitted null) or "refitted" (with the effect).
+    """
     raw = loadmat(path)
     t, q, force = raw["t"].ravel(), raw["qm"].ravel(), float(raw["gtau"].squeeze()) * raw["vir"].ravel()
     b, a = butter(4, 60.0, fs=1000.0)
     q = filtfilt(b, a, q)
     v = np.gradient(q, t)
     acc = np.gradient(v, t)
-    p = {k: value["refitted"] for k, value in report.content["parameters"].items()}
-    if friction is None:
-        p = {k: value["without_effect"] for k, value in report.content["parameters"].items()}
+    p = {k: value[stage] for k, value in report.content["parameters"].items()}
     model = p["m"] * acc + p["b"] * v + p["offset"] + (friction(v) if friction else 0.0)
     d, c = butter(4, 20.0, fs=1000.0)
     wanted, got = filtfilt(d, c, force), filtfilt(d, c, model)
@@ -127,14 +128,13 @@ def main() -> None:
     report = explain_case(case, out / "explained", jobs=args.jobs)
     print(report.summary)
     path = data / "DATA_EMPS_PULSES.mat"
-    force = named_force(report)
+    speed = report.fit["test.csv"]["v"]
     result = {
         "verdict": report.verdict, "effects": [e["id"] for e in report.effects],
-        "error_nominal": report.fit["test.csv"]["v"]["nominal"]["rmse"],
-        "error_refitted": report.fit["test.csv"]["v"]["refitted"]["rmse"],
-        "error_repaired": report.fit["test.csv"]["v"]["repaired"]["rmse"],
-        "force_error_refitted_percent": force_error(report, path, None),
-        "force_error_repaired_percent": force_error(report, path, force),
+        "error_nominal": force_error(report, path, "nominal"),  # percent of the force, test record
+        "error_refitted": force_error(report, path, "without_effect"),
+        "error_repaired": force_error(report, path, "refitted", named_force(report)),
+        "speed_rmse_m_s": {stage: speed[stage]["rmse"] for stage in ("nominal", "refitted", "repaired")},
         "seconds": report.content["seconds"], "case": str(case),
     }
     print("RESULT " + json.dumps(result))

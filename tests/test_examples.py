@@ -32,7 +32,7 @@ HOLDS = {
     "backlash_identification": lambda r: max(
         r["half_gap_error_percent"], r["stiffness_error_percent"], r["damping_error_percent"]
     ) < 3.0,
-    "explain_emps": lambda r: r["effects"] == ["coulomb_friction"] and r["force_error_repaired_percent"] < 8,
+    "explain_emps": lambda r: r["effects"] == ["coulomb_friction"] and r["error_repaired"] < 8 < r["error_refitted"],
     "explain_tanks": lambda r: r["error_repaired"] < 0.8 * r["error_refitted"],
     "explain_rotary_actuator": lambda r: all(
         s["verdict"] == "named" and {"stribeck_friction", "coulomb_friction"} & set(s["effects"])
