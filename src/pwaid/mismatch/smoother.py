@@ -13,7 +13,7 @@ is differentiated, and no covariance is inverted. Jumps of d come out smeared ov
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numba import njit
@@ -66,7 +66,8 @@ class Unknown:
     """The unknown input at one place.
 
     `value`, `deviation` (N,): d and its posterior standard deviation; `states` (N, nx): the smoothed states;
-    `log_likelihood`: marginal, at the best intensity; `rise`: seconds over which a jump is smeared.
+    `log_likelihood`: marginal, at the best intensity; `rise`: seconds over which a jump is smeared; `same`:
+    channels that enter the same way up to a factor, which no recording can tell apart.
     """
 
     channel: str
@@ -75,6 +76,91 @@ class Unknown:
     states: np.ndarray
     log_likelihood: float
     rise: float
+    same: tuple[str, ...] = ()
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _times(M, v, out, turned):
+    """M v, or Mᵀ v, into out; loops, because BLAS calls cost more than these sizes do."""
+    for i in range(v.size):
+        total = 0.0
+        for j in range(v.size):
+            total += (M[j, i] if turned else M[i, j]) * v[j]
+        out[i] = total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _sandwich(M, S, work, turned):
+    """S becomes M S Mᵀ, or Mᵀ S M."""
+    n = S.shape[0]
+    for i in range(n):
+        for j in range(n):
+            total = 0.0
+            for k in range(n):
+                total += (M[k, i] if turned else M[i, k]) * S[k, j]
+            work[i, j] = total
+    for i in range(n):
+        for j in range(n):
+            total = 0.0
+            for k in range(n):
+                total += work[i, k] * (M[k, j] if turned else M[j, k])
+            S[i, j] = total
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _step_matrix(A, B, k, T):
+    """[δx; d] over one interval."""
+    n = A.shape[1]
+    for i in range(n):
+        for j in range(n):
+            T[i, j] = A[k, i, j]
+        T[i, n], T[n, i] = B[k, i], 0.0
+    T[n, n] = 1.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _row(C, D, k, o, c):
+    """Row of output o at k over [δx; d]."""
+    for i in range(C.shape[2]):
+        c[i] = C[k, o, i]
+    c[c.size - 1] = D[k, o]
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _backward(A, B, C, D, first, last, xs, Ps, Ks, es, ss, d, var, states):
+    """Bryson and Frazier's adjoint pass over one segment: smoothed states, d, and the variance of d."""
+    m, z = C.shape[1], xs.shape[1]
+    n = z - 1
+    lam, new, c = np.zeros(z), np.empty(z), np.empty(z)
+    Lam, S, T, work = np.zeros((z, z)), np.empty((z, z)), np.zeros((z, z)), np.empty((z, z))
+    for k in range(last - 1, first - 1, -1):
+        if k < last - 1:
+            _step_matrix(A, B, k, T)
+            _times(T, lam, new, True)
+            for i in range(z):
+                lam[i] = new[i]
+            _sandwich(T, Lam, work, True)
+        for o in range(m - 1, -1, -1):
+            _row(C, D, k, o, c)
+            along = es[k, o] / ss[k, o]
+            for i in range(z):
+                along += Ks[k, o, i] * lam[i]
+            for i in range(z):
+                for j in range(z):
+                    S[i, j] = (1.0 if i == j else 0.0) - Ks[k, o, i] * c[j]
+            _sandwich(S, Lam, work, True)
+            for i in range(z):
+                lam[i] -= c[i] * along
+                for j in range(z):
+                    Lam[i, j] += c[i] * c[j] / ss[k, o]
+        _times(Ps[k], lam, new, False)
+        for i in range(n):
+            states[k, i] = xs[k, i] - new[i]
+        d[k] = xs[k, n] - new[n]
+        _times(Lam, Ps[k, n], new, False)
+        var[k] = Ps[k, n, n]
+        for i in range(z):
+            var[k] -= Ps[k, n, i] * new[i]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -88,60 +174,43 @@ def _filter_and_smooth(A, B, C, D, Y, R, q, P0, segments, want, d, var, states):
     z = n + 1
     xs, Ps = np.empty((N, z)), np.empty((N, z, z))
     Ks, es, ss = np.empty((N, m, z)), np.empty((N, m)), np.empty((N, m))
-    x, P, c = np.zeros(z), np.zeros((z, z)), np.empty(z)
-    T, S, total = np.zeros((z, z)), np.empty((z, z)), 0.0
-    lam, Lam, new = np.empty(z), np.empty((z, z)), np.empty(z)
+    x, P, c, K, new = np.zeros(z), np.zeros((z, z)), np.empty(z), np.empty(z), np.empty(z)
+    T, work, total = np.zeros((z, z)), np.empty((z, z)), 0.0
     for g in range(segments.shape[0]):
         first, last = segments[g, 0], segments[g, 1]
-        x[:] = 0.0
-        P[:] = 0.0
         for i in range(z):
-            P[i, i] = P0[i]
+            x[i] = 0.0
+            for j in range(z):
+                P[i, j] = P0[i] if i == j else 0.0
         for k in range(first, last):
-            xs[k], Ps[k] = x, P
+            for i in range(z):
+                xs[k, i] = x[i]
+                for j in range(z):
+                    Ps[k, i, j] = P[i, j]
             for o in range(m):
-                c[:n], c[n] = C[k, o], D[k, o]
-                K, e = P @ c, Y[k, o] - c @ x
-                s = c @ K + R[o]
+                _row(C, D, k, o, c)
+                _times(P, c, K, False)
+                s, e = R[o], Y[k, o]
+                for i in range(z):
+                    s += c[i] * K[i]
+                    e -= c[i] * x[i]
                 total -= 0.5 * (np.log(6.283185307179586 * s) + e * e / s)
                 es[k, o], ss[k, o] = e, s
                 for i in range(z):
                     K[i] /= s
-                Ks[k, o] = K
-                x += K * e
+                    Ks[k, o, i] = K[i]
+                    x[i] += K[i] * e
                 for i in range(z):
                     for j in range(z):
                         P[i, j] -= s * K[i] * K[j]
-            T[:n, :n], T[:n, n], T[n, n] = A[k], B[k], 1.0
-            x = T @ x
-            P = T @ P @ T.T
+            _step_matrix(A, B, k, T)
+            _times(T, x, new, False)
+            for i in range(z):
+                x[i] = new[i]
+            _sandwich(T, P, work, False)
             P[n, n] += q
         if want:
-            lam[:] = 0.0
-            Lam[:] = 0.0
-            for k in range(last - 1, first - 1, -1):
-                if k < last - 1:
-                    T[:n, :n], T[:n, n], T[n, n] = A[k], B[k], 1.0
-                    lam = T.T @ lam
-                    Lam = T.T @ Lam @ T
-                for o in range(m - 1, -1, -1):
-                    c[:n], c[n] = C[k, o], D[k, o]
-                    K = Ks[k, o]
-                    along = K @ lam
-                    for i in range(z):
-                        new[i] = lam[i] - c[i] * (along + es[k, o] / ss[k, o])
-                        for j in range(z):
-                            S[i, j] = (1.0 if i == j else 0.0) - K[i] * c[j]
-                    lam[:] = new
-                    Lam = S.T @ Lam @ S
-                    for i in range(z):
-                        for j in range(z):
-                            Lam[i, j] += c[i] * c[j] / ss[k, o]
-                back = xs[k] - Ps[k] @ lam
-                states[k] = back[:n]
-                d[k] = back[n]
-                row = Ps[k, n]
-                var[k] = Ps[k, n, n] - row @ (Lam @ row)
+            _backward(A, B, C, D, first, last, xs, Ps, Ks, es, ss, d, var, states)
     return total
 
 
@@ -267,8 +336,17 @@ def unknown_inputs(problem: Problem, line: Linearised) -> list[Unknown]:
             places.append((f"state:{s.plant.state_names[i]}", column, np.zeros((N, ny)), size))
     for j, name in enumerate(s.plant.input_names):
         places.append((f"input:{name}", line.G[:, :, j], line.D[:, :, j], float(s.input_rms[j])))
+    directions = {place[0]: _direction(place[1], place[2]) for place in places}
     for channel, column, feed, size in places:
         unknown = smooth(line, column, feed, max(size, 1e-12), start, max(s.time_scale, line.h), channel)
+        same = tuple(c for c, v in directions.items()
+                     if c != channel and abs(np.sum(v * directions[channel])) > 1 - 1e-9)
         if np.isfinite(unknown.log_likelihood):
-            found.append(unknown)
+            found.append(replace(unknown, same=same))
     return sorted(found, key=lambda u: -u.log_likelihood)
+
+
+def _direction(column, feed) -> np.ndarray:
+    """How d enters, without its size."""
+    M = np.hstack([column, feed])
+    return M / max(float(np.sqrt(np.sum(M**2))), 1e-300)
