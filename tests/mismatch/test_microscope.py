@@ -82,3 +82,9 @@ def test_noise_alone_names_no_variable(seed):
     d = np.convolve(rng.normal(size=N + 30), np.ones(31), "valid")
     z = motion(seed)
     assert examine(d, np.ones(N), z, {}).variable == ""
+
+
+def test_too_little_to_look_at_gives_an_empty_ranking():
+    z = {n: s[:150] for n, s in motion(5).items()}
+    assert examine(z["x"] ** 3, np.ones(150), z, {}).ranking == {}
+    assert examine(np.zeros(N), np.ones(N), motion(5), {}).ranking == {}

@@ -139,12 +139,16 @@ def examine(d, deviation, candidates: Mapping[str, np.ndarray], slopes: Mapping[
     slopes : variable to the sign-giving rate of change (N,), for the memory test.
     rise : variable to the distance it typically moves while a jump is smeared: bends closer than that are a jump.
     rng : seed or Generator of shifts and bootstrap.
+
+    Fewer than 200 samples, or a constant d, give an empty ranking.
     """
     rng = np.random.default_rng(rng)
     names = [n for n, z in candidates.items() if np.ptp(z) > 1e-12 * (1 + np.max(np.abs(z)))]
     w = 1.0 / (deviation**2 + np.median(deviation) ** 2)
     w = w / w.mean()
     d = np.asarray(d, dtype=float)
+    if len(d) < 10 * BLOCKS or not np.ptp(d) > 0:
+        return Shape({}, LEAST)
     fold, D = _folds(len(d)), _shifted(d, rng, SHIFTS)
     Z = _standard(np.column_stack([candidates[n] for n in names]))
     base = np.column_stack([np.ones(len(d)), Z])
