@@ -81,6 +81,10 @@ def test_unexplained_gets_a_labelled_correction_that_repairs(unnamed):
     assert "without a name" in correction["label"]
     assert correction["variable"] == "x" and correction["in_repaired_simulator"]
     assert correction["heldout_gain"] > 0.5
+    seen = c["location"]["unknown_input"]["breakpoints"]
+    assert not any(b["jump"] for b in seen)  # the flanks of a bump are no jumps
+    for place in (0.1, 0.25, 0.4):
+        assert min(abs(b["position"] - place) for b in seen) < 0.06
     fit = c["fit"]["bump3.csv"]["x"]
     assert fit["repaired"]["rmse"] < 0.75 * fit["refitted"]["rmse"]
     assert "Correction without a name" in summary_text(c)

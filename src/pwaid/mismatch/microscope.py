@@ -275,7 +275,8 @@ def _bends(z, y, w, curve, width, rng, count):
     drawn, found, k = np.array(drawn), [], 0
     slopes = np.concatenate([[c[1]], c[1] + np.cumsum(c[2:])])
     while k < len(knots):
-        pair = k + 1 < len(knots) and knots[k + 1] - knots[k] < width and c[2 + k] * c[3 + k] < 0
+        pair = k + 1 < len(knots) and knots[k + 1] - knots[k] < width and max(
+            abs(slopes[k]), abs(slopes[k + 2])) < 0.3 * abs(slopes[k + 1])
         columns = drawn[:, k:k + 2].mean(axis=1) if pair else drawn[:, k]
         low, high = np.quantile(columns, [0.05, 0.95])
         position = knots[k:k + 2].mean() if pair else knots[k]
