@@ -14,6 +14,7 @@ import numpy as np
 
 from pwaid.errors import InputError
 from pwaid.mismatch.case import load_case
+from pwaid.mismatch.correction import correct
 from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.decide import Thresholds, at_floor, decide
 from pwaid.mismatch.effects.registry import CATALOGUE, effect_by_id
@@ -126,9 +127,11 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
     say(0.85, "deciding")
     decision = decide(problem, null, singles, pairs, thresholds)
     say(0.9, "locating")
-    location = locate(problem)
+    named = decision.members[0].located[0].place.channel if decision.members else ""
+    location = locate(problem, named, look=decision.verdict not in ("agreement", "parameters_only"))
+    fallback = correct(problem, location) if decision.verdict == "unexplained" else None
     report = build_report(problem, null, singles, pairs, screened, decision, location, notes,
-                          len(located) + len(pairs), clock.perf_counter() - started)
+                          len(located) + len(pairs), clock.perf_counter() - started, fallback)
     say(1.0, "done")
     return report
 

@@ -14,8 +14,8 @@ from pwaid.mismatch.model import Located, Model
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.screen import Screened, run_jobs, screen
 
-__all__ = ["Hypothesis", "fit_pairs", "fit_shortlist", "floor_square", "mean_square", "null_hypothesis",
-           "share"]
+__all__ = ["Hypothesis", "fit_pairs", "fit_shortlist", "floor_square", "hypothesis_of", "mean_square",
+           "null_hypothesis", "share"]
 
 
 @dataclass(frozen=True)
@@ -64,7 +64,8 @@ def share(problem: Problem, error: float, before: float | None = None) -> float:
     return float((start - error) / explainable) if explainable > 1e-12 else 0.0
 
 
-def _hypothesis(problem: Problem, fit: Fit, score: float, start=None) -> Hypothesis:
+def hypothesis_of(problem: Problem, fit: Fit, score: float, start=None) -> Hypothesis:
+    """The fit with its errors on training and held-out recordings."""
     test = problem.heldout(fit, start)
     train_error = mean_square(problem, fit, problem.train)
     test_error = mean_square(problem, test, problem.test)
@@ -74,7 +75,7 @@ def _hypothesis(problem: Problem, fit: Fit, score: float, start=None) -> Hypothe
 
 def null_hypothesis(problem: Problem) -> Hypothesis:
     """The refitted simulator without any effect."""
-    return _hypothesis(problem, problem.null, 0.0)
+    return hypothesis_of(problem, problem.null, 0.0)
 
 
 def _window(problem: Problem, base: Fit, samples: int = 600) -> tuple[Dataset, np.ndarray]:
@@ -170,7 +171,7 @@ def fit_shortlist(problem: Problem, candidates: Sequence[Screened], jobs: int = 
     def finish(item):
         trials, candidate = item
         fit = _finish(problem, base, trials)
-        return _hypothesis(problem, fit, candidate.score)
+        return hypothesis_of(problem, fit, candidate.score)
 
     return sorted(run_jobs(finish, kept, jobs), key=lambda h: h.train_error)
 

@@ -1,20 +1,33 @@
-"""Where the mismatch sits in time and in frequency, from the residual of the refitted simulator."""
+"""Where the mismatch sits: in time, in frequency, at which channel, and over which variable.
+
+Time and frequency come from the residual of the refitted simulator, the channel from the likelihood of an
+unknown input there (`pwaid.mismatch.smoother`), the variable from hinges (`pwaid.mismatch.microscope`).
+"""
 
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from pwaid.mismatch.microscope import Shape, examine
 from pwaid.mismatch.nullfit import Problem
+from pwaid.mismatch.smoother import Linearised, Unknown, linearise, unknown_inputs
 
-__all__ = ["Location", "bands", "intervals", "locate"]
+__all__ = ["Location", "bands", "candidates", "intervals", "locate"]
+
+
+ALIKE = 3.0  # channels whose log-likelihoods differ by less cannot be told apart
 
 
 @dataclass(frozen=True)
 class Location:
-    """Channel, responsible variables with breakpoints, memory flag, intervals (s) and bands (Hz)."""
+    """Channel, responsible variables with breakpoints, memory flag, intervals (s) and bands (Hz).
+
+    `alike`: channels that cannot be told apart from `channel`. `unknown`, `shape`, `samples`: the unknown
+    input there, what the microscope saw, and the responsible variable's samples; None where not looked at.
+    """
 
     channel: str = ""
     variables: tuple[str, ...] = ()
@@ -22,6 +35,10 @@ class Location:
     memory: bool = False
     intervals_s: tuple[tuple[float, float], ...] = ()
     bands_hz: tuple[tuple[float, float], ...] = ()
+    alike: tuple[str, ...] = ()
+    unknown: Unknown | None = None
+    shape: Shape | None = None
+    samples: np.ndarray | None = field(default=None, repr=False)
 
 
 def intervals(problem: Problem, share: float = 0.8, pieces: int = 40):
@@ -63,6 +80,41 @@ def bands(problem: Problem, share: float = 0.8):
     return ((float(f[starts[k]]), float(f[min(ends[good][k], len(f) - 1)])),)
 
 
-def locate(problem: Problem) -> Location:
-    """Time and frequency of the mismatch."""
-    return Location(intervals_s=intervals(problem), bands_hz=bands(problem))
+def _rates(z, line: Linearised) -> np.ndarray:
+    """dz/dt within every segment."""
+    return np.concatenate([np.gradient(z[a:b], line.h) for a, b in line.segments])
+
+
+def candidates(problem: Problem, line: Linearised, unknown: Unknown) -> dict[str, np.ndarray]:
+    """The variables a law may depend on: smoothed states, inputs, their rates, and time."""
+    plant = problem.plant
+    found = {n: unknown.states[:, i] for i, n in enumerate(plant.state_names)}
+    inputs = {n: line.inputs[:, j] for j, n in enumerate(plant.input_names)}
+    rates = {f"d{n}/dt": _rates(u, line) for n, u in inputs.items()}
+    return found | inputs | rates | {"t": line.time}
+
+
+def locate(problem: Problem, channel: str = "", look: bool = True) -> Location:
+    """Where the mismatch sits.
+
+    Parameters
+    ----------
+    channel : where the named effect enters; the most likely place of an unknown input otherwise.
+    look : False leaves out channel and variable, where there is nothing to explain.
+    """
+    place = Location(intervals_s=intervals(problem), bands_hz=bands(problem))
+    line = linearise(problem) if look else None
+    found = unknown_inputs(problem, line) if line is not None else []
+    if not found:
+        return place
+    unknown = next((u for u in found if u.channel == channel), found[0])
+    alike = tuple(u.channel for u in found if u.channel in unknown.same or (
+        u is not unknown and abs(u.log_likelihood - unknown.log_likelihood) < ALIKE))
+    variables = candidates(problem, line, unknown)
+    slopes = {n: _rates(z, line) for n, z in variables.items() if n != "t"}
+    rise = {n: 2 * unknown.rise * float(np.quantile(np.abs(s), 0.75)) for n, s in slopes.items()}
+    shape = examine(unknown.value, unknown.deviation, variables, slopes, rise)
+    named = (shape.variable,) if shape.variable else ()
+    return replace(place, channel=unknown.channel, variables=named, memory=shape.memory, alike=alike, unknown=unknown,
+                   breakpoints={v: [b.position for b in shape.bends] for v in named}, shape=shape,
+                   samples=variables[shape.variable] if named else None)

@@ -37,6 +37,7 @@ class Report:
     singles: tuple[Hypothesis, ...] = field(repr=False)
     pairs: tuple[Hypothesis, ...] = field(repr=False)
     location: Location = field(repr=False)
+    fallback: Hypothesis | None = field(default=None, repr=False)
 
     @property
     def verdict(self) -> str:
@@ -52,8 +53,8 @@ class Report:
 
     @property
     def best(self) -> Hypothesis:
-        """The hypothesis behind the repaired simulator; the refitted null when nothing was named."""
-        return self.decision.chosen or self.null
+        """The hypothesis behind the repaired simulator: the named one, the correction, or the null."""
+        return self.fallback or self.decision.chosen or self.null
 
     @cached_property
     def simulator(self):
@@ -148,14 +149,14 @@ def _candidates(problem, hypotheses, passed, output_names):
 
 def build_report(problem: Problem, null, singles, pairs, screened, decision: Decision, location: Location,
                  notes,
-                 tried: int, seconds: float) -> Report:
+                 tried: int, seconds: float, fallback: Hypothesis | None = None) -> Report:
     """Gather everything into the content of report.json."""
     names = problem.plant.output_names
-    chosen = decision.chosen if decision.chosen is not None else null
+    used = fallback if fallback is not None and fallback.share > 0 else None
     effects = []
     for h in decision.members:
         effects += effect_entries(problem, h, _shares(problem, h, singles))
-    best = chosen
+    best = used or decision.chosen or null
     low, high, correlation = parameter_intervals(problem, best.fit)
     warnings = [*notes, *_collinear(best, correlation)]
     parameters = {}
@@ -169,7 +170,7 @@ def build_report(problem: Problem, null, singles, pairs, screened, decision: Dec
     content = {
         "schema": "pwaid.mismatch/1", "verdict": decision.verdict, "effects": effects,
         "candidates": _candidates(problem, [*singles, *pairs], decision.passed, names),
-        "location": _location(location, best if decision.members else None, screened),
+        "location": _location(location, decision.chosen if decision.members else None, screened),
         "parameters": parameters,
         "fit": fit_table(problem.test, names, stages),
         "fit_train": fit_table(problem.train, names, {"nominal": problem.nominal.Y, "refitted": null.fit.Y,
@@ -177,6 +178,7 @@ def build_report(problem: Problem, null, singles, pairs, screened, decision: Dec
         "share_explained": best.share if decision.members else 0.0,
         "noise_floor": dict(zip(names, map(float, problem.floor.level), strict=True)),
         "noise_floor_source": problem.floor.source,
+        "correction": _correction(location, fallback, used),
         "next_experiment": next_experiment(problem, decision, singles),
         "reasons": list(decision.reasons), "warnings": warnings,
         "screen": [{"id": s.located.effect.id, "where": s.located.label, "score": s.score,
@@ -184,21 +186,41 @@ def build_report(problem: Problem, null, singles, pairs, screened, decision: Dec
                    for s in screened],
         "hypotheses_tried": tried, "seconds": seconds,
     }
-    return Report(_clean(content), problem, null, decision, tuple(singles), tuple(pairs), location)
+    return Report(_clean(content), problem, null, decision, tuple(singles), tuple(pairs), location, used)
 
 
 def _location(location: Location, best, screened) -> dict:
-    """Channel and variables of the named effect; of the candidate most like the residual when nothing is named."""
-    channel, variables = location.channel, location.variables
-    if best is None and screened and screened[0].score > 0:
+    """Channel and variables of the named effect; else of the located unknown input; else of the candidate most
+    like the residual. Breakpoints, memory and ranking are the microscope's."""
+    channel, variables, shape = location.channel, location.variables, location.shape
+    if best is None and not variables and screened and screened[0].score > 0:
         channel, variables = screened[0].located.place.channel, screened[0].located.place.variables
     if best is not None and best.located:
         channel = best.located[0].place.channel
         variables = tuple(dict.fromkeys(v for e in best.located for v in e.place.variables))
-    return {"channel": channel, "variables": list(variables), "breakpoints": location.breakpoints,
-            "memory": location.memory or bool(best and any(e.effect.memory for e in best.located)),
-            "intervals_s": [list(i) for i in location.intervals_s],
-            "bands_hz": [list(b) for b in location.bands_hz]}
+    found = {"channel": channel, "variables": list(variables), "breakpoints": location.breakpoints,
+             "memory": location.memory or bool(best and any(e.effect.memory for e in best.located)),
+             "intervals_s": [list(i) for i in location.intervals_s],
+             "bands_hz": [list(b) for b in location.bands_hz]}
+    if shape is not None:
+        found["unknown_input"] = {
+            "channel": location.channel, "alike": list(location.alike), "variable": shape.variable,
+            "ranking": shape.ranking, "threshold": shape.threshold, "heldout_gain": shape.gain,
+            "smeared_over_s": location.unknown.rise,
+            "breakpoints": [{"position": b.position, "low": b.low, "high": b.high, "jump": b.jump, "size": b.size}
+                            for b in shape.bends]}
+    return found
+
+
+def _correction(location: Location, fallback, used) -> dict | None:
+    """The unnamed PWA correction of an unexplained mismatch."""
+    if fallback is None:
+        return None
+    curve, gain = location.shape.curve, fallback.values()[0][0]
+    return {"label": "learned correction without a name: it repairs the simulation and explains nothing",
+            "channel": location.channel, "variable": location.shape.variable, "knots": curve.knots.tolist(),
+            "values": (gain * curve.values).tolist(), "heldout_gain": fallback.share,
+            "in_repaired_simulator": used is not None}
 
 
 def _collinear(h: Hypothesis, correlation) -> list[str]:

@@ -39,6 +39,26 @@ _VERDICTS = {
 }
 
 
+def _unknown_lines(c: dict) -> list[str]:
+    """What the unknown input and the hinges say, and the correction."""
+    seen, lines = c["location"].get("unknown_input"), []
+    if seen:
+        where = " or ".join([seen["channel"], *seen["alike"]])
+        if seen["variable"]:
+            bends = ", ".join(f"{'jump' if b['jump'] else 'bend'} at {number(b['position'])} "
+                              f"({number(b['low'])} to {number(b['high'])})" for b in seen["breakpoints"])
+            memory = "; with memory" if c["location"]["memory"] else ""
+            lines.append(f"Unknown input at {where} goes with {seen['variable']} (held-out gain over linear "
+                         f"{100 * seen['heldout_gain']:.0f} %): {bends or 'no sharp bend'}{memory}")
+        else:
+            lines.append(f"Unknown input at {where} is no law of one variable")
+    if c["correction"]:
+        lines.append(f"Correction without a name, c({c['correction']['variable']}) at {c['correction']['channel']}: "
+                     f"removes {100 * c['correction']['heldout_gain']:.0f} % of the explainable held-out error"
+                     + ("; it is in the repaired simulator" if c["correction"]["in_repaired_simulator"] else ""))
+    return lines
+
+
 def summary_text(c: dict) -> str:
     """The text summary of a report's content."""
     lines = [_VERDICTS[c["verdict"]]]
@@ -67,6 +87,7 @@ def summary_text(c: dict) -> str:
     bands = ", ".join(f"{a:.3g}-{b:.3g} Hz" for a, b in where["bands_hz"])
     if spots or bands:
         lines.append(f"Most of the mismatch: {spots}; {bands}")
+    lines += _unknown_lines(c)
     lines.append(f"Next: {c['next_experiment']}")
     lines += [f"Note: {w}" for w in c["warnings"][:5]]
     lines.append(f"{c['hypotheses_tried']} hypotheses tried in {c['seconds']:.1f} s.")

@@ -1,0 +1,101 @@
+"""Locate on recordings: the named friction's jump, and the labelled correction of what nothing names."""
+
+from __future__ import annotations
+
+import json
+
+import numpy as np
+import pytest
+from tests_support import TRUE, oscillator
+
+from pwaid.mismatch import explain
+from pwaid.mismatch.effects.registry import effect_by_id
+from pwaid.mismatch.lawcurve import law_over
+from pwaid.mismatch.pictures import pictures
+from pwaid.mismatch.smoother import linearise, unknown_inputs
+from pwaid.mismatch.summary import summary_text
+from pwaid.recording import Recording
+
+FREE = ["m", "b", "k"]
+
+
+def bumpy(seed, samples=900, dt=0.02, noise=1e-3, fine=10):
+    """The oscillator with a force that no entry of the catalogue has: a one-sided bump over the position."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(samples) * dt
+    u = 0.7 * np.sin(2 * np.pi * np.outer(t, rng.uniform(0.1, 1.0, 8)) + rng.uniform(0, 6.28, 8)).sum(axis=1)
+    x, v, h, y = 0.0, 0.0, dt / fine, np.empty(samples)
+    for k in range(samples):
+        y[k] = x
+        for _ in range(fine):
+            bump = 1.5 * max(0.0, 1.0 - abs(x - 0.25) / 0.15)
+            v += h * (u[k] - TRUE["b"] * v - TRUE["k"] * x - bump)
+            x += h * v
+    return Recording(t, u[:, None], (y + noise * rng.normal(size=samples))[:, None], ("F",), ("x",),
+                     {"F": "N", "x": "m"}, name=f"bump{seed}.csv")
+
+
+@pytest.fixture(scope="module")
+def friction(friction_recordings):
+    return explain(oscillator(), friction_recordings[:2], friction_recordings[2:], FREE,
+                   effects=[*effect_by_id("coulomb_friction"), *effect_by_id("cubic_stiffness")])
+
+
+@pytest.fixture(scope="module")
+def unnamed():
+    recordings = [bumpy(s) for s in (1, 2, 3)]
+    return explain(oscillator(), recordings[:2], recordings[2:], FREE,
+                   effects=[*effect_by_id("sensor_saturation"), *effect_by_id("quadratic_drag")])
+
+
+def test_named_friction_jumps_where_the_speed_is_zero(friction):
+    where = friction.content["location"]
+    assert friction.verdict == "named" and where["channel"] == "state:v" and not where["memory"]
+    seen = where["unknown_input"]
+    assert seen["variable"] == "v" and "input:F" in seen["alike"]  # the input pushes on the same mass
+    bend = min(seen["breakpoints"], key=lambda b: abs(b["position"]))
+    assert bend["jump"] and abs(bend["position"]) < 0.1
+    assert bend["size"] == pytest.approx(-0.8, rel=0.4)  # read off a smeared jump
+    assert where["breakpoints"]["v"] == [b["position"] for b in seen["breakpoints"]]
+    assert "jump at" in friction.summary
+    assert friction.content["correction"] is None
+
+
+def test_picture_and_law_curve(friction):
+    titles = [title for title, _ in pictures(friction)]
+    assert "Unknown input over the responsible variable" in titles
+    z = np.array([-1.0, -0.1, 0.1, 1.0])
+    level = friction.effects[0]["parameters"]["level"]["value"]
+    np.testing.assert_allclose(law_over(friction.problem, friction.best, "v", z), -level * np.sign(z), rtol=1e-6)
+
+
+def test_unknown_inputs_rank_the_equation_of_motion(friction):
+    line = linearise(friction.problem)
+    assert unknown_inputs(friction.problem, line)[0].channel in ("state:v", "input:F")
+
+
+def test_unexplained_gets_a_labelled_correction_that_repairs(unnamed):
+    assert unnamed.verdict == "unexplained" and unnamed.effects == []
+    c = unnamed.content
+    correction = c["correction"]
+    assert "without a name" in correction["label"]
+    assert correction["variable"] == "x" and correction["in_repaired_simulator"]
+    assert correction["heldout_gain"] > 0.5
+    seen = c["location"]["unknown_input"]["breakpoints"]
+    assert not any(b["jump"] for b in seen)  # the flanks of a bump are no jumps
+    for place in (0.1, 0.25, 0.4):
+        assert min(abs(b["position"] - place) for b in seen) < 0.06
+    fit = c["fit"]["bump3.csv"]["x"]
+    assert fit["repaired"]["rmse"] < 0.75 * fit["refitted"]["rmse"]
+    assert "Correction without a name" in summary_text(c)
+    json.dumps(c, allow_nan=False)
+
+
+def test_repaired_simulator_carries_the_correction(unnamed):
+    """The python-control object gives the outputs that were scored."""
+    system, held = unnamed.simulator, unnamed.problem.test
+    x, Y = unnamed.best.test.X0[0], []
+    for k in range(200):
+        Y.append(system.output(k * held.sample_time, x, held.U[k]))
+        x = system.dynamics(k * held.sample_time, x, held.U[k])
+    np.testing.assert_allclose(np.array(Y), unnamed.best.test.Y[:200], atol=1e-6)
