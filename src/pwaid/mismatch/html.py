@@ -20,7 +20,7 @@ def html_page(report) -> str:
     parts.append("<h2>Every candidate that was fitted</h2>" + _table(c))
     return ("<!doctype html><html lang='en'><head><meta charset='utf-8'><title>pwaid: explain the mismatch</title>"
             "<style>body{font:15px/1.45 sans-serif;max-width:70rem;margin:2rem auto;padding:0 1rem}"
-            "img{max-width:100%}pre{background:#f4f4f4;padding:1rem;overflow:auto}table{border-collapse:collapse}"
+            "img{max-width:100%}pre{background:#f4f4f4;padding:1rem;white-space:pre-wrap}table{border-collapse:collapse}"
             "td,th{padding:.2rem .6rem;border-bottom:1px solid #ccc;text-align:left}</style></head><body>"
             + "\n".join(parts) + "</body></html>")
 
