@@ -10,7 +10,6 @@ that holds `hair_dryer/`.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import tempfile
 from pathlib import Path
@@ -20,6 +19,8 @@ from scipy.io import loadmat
 from scipy.optimize import least_squares
 from scipy.signal import lfilter
 
+from _common import result
+from _explained import outcome
 from pwaid.errors import InputError
 from pwaid.mismatch import explain_case
 from pwaid.mismatch.case import write_case
@@ -110,12 +111,7 @@ def main() -> None:
                       {"test.csv": rec(600, 1000, "test.csv")}, ["gain"])
     report = explain_case(case, out / "explained", jobs=args.jobs)
     print(report.summary)
-    stages = report.fit["test.csv"]["temperature"]
-    print("RESULT " + json.dumps({
-        "verdict": report.verdict, "effects": [e["id"] for e in report.effects],
-        "error_nominal": stages["nominal"]["rmse"], "error_refitted": stages["refitted"]["rmse"],
-        "error_repaired": stages["repaired"]["rmse"], "seconds": report.content["seconds"],
-        "case": str(case)}))
+    result(**outcome(report, "test.csv", "temperature", case))
 
 
 if __name__ == "__main__":

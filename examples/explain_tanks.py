@@ -9,7 +9,6 @@ validation record. Set PWAID_DATA to the folder that holds `cascaded_tanks/`.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import tempfile
 from pathlib import Path
@@ -17,6 +16,8 @@ from pathlib import Path
 import numpy as np
 from scipy.io import loadmat
 
+from _common import result
+from _explained import outcome
 from pwaid.errors import InputError
 from pwaid.mismatch import explain_case
 from pwaid.mismatch.case import write_case
@@ -65,12 +66,7 @@ def main() -> None:
                       {"validation.csv": records["validation.csv"]}, ["k1", "k2", "k3", "k4"])
     report = explain_case(case, out / "explained", jobs=args.jobs)
     print(report.summary)
-    stages = report.fit["validation.csv"]["level"]
-    print("RESULT " + json.dumps({
-        "verdict": report.verdict, "effects": [e["id"] for e in report.effects],
-        "error_nominal": stages["nominal"]["rmse"], "error_refitted": stages["refitted"]["rmse"],
-        "error_repaired": stages["repaired"]["rmse"], "seconds": report.content["seconds"],
-        "case": str(case)}))
+    result(**outcome(report, "validation.csv", "level", case))
 
 
 if __name__ == "__main__":
