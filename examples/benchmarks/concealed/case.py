@@ -209,9 +209,9 @@ def _true_side(p, base, drawn, plant):
 def _drifts(drawn, plant, recordings):
     for d in drawn:
         if d.drift:
-            name, change = d.drift
+            name, change = d.drift  # over the first recording; the rate in time is the same in all
             for rec in recordings:
-                rec.drift = (plant.index(name), 1.0 + change * np.linspace(0.0, 1.0, len(rec.signal)))
+                rec.drift = (plant.index(name), 1.0 + change * np.arange(len(rec.signal)) / len(recordings[0].signal))
 
 
 def _strangers(recipe, plant, scene, e, recordings, rng):

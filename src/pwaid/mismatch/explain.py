@@ -13,21 +13,20 @@ from pathlib import Path
 import numpy as np
 
 from pwaid.errors import InputError
-from pwaid.mismatch.case import load_case
+from pwaid.mismatch.case import Case, load_case
 from pwaid.mismatch.correction import correct
 from pwaid.mismatch.dataset import Dataset
-from pwaid.mismatch.decide import Thresholds, at_floor, decide
+from pwaid.mismatch.decide import Thresholds, decide
 from pwaid.mismatch.effects.registry import CATALOGUE, effect_by_id
+from pwaid.mismatch.evidence import Evidence, gather
 from pwaid.mismatch.hygiene import hygiene
-from pwaid.mismatch.hypotheses import fit_pairs, fit_shortlist, floor_square, null_hypothesis
 from pwaid.mismatch.locate import locate
 from pwaid.mismatch.nullfit import prepare
 from pwaid.mismatch.plant import SlowSimulationWarning, as_plant
 from pwaid.mismatch.report import Report, build_report, write_report
-from pwaid.mismatch.screen import locate_effects, screen, shortlist
 from pwaid.recording import Recording
 
-__all__ = ["explain", "explain_case"]
+__all__ = ["collect", "collect_case", "conclude", "explain", "explain_case"]
 
 
 def _split(train: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]:
@@ -73,6 +72,16 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
         For unusable input, saying what came, what was expected, what to do.
     """
     started = clock.perf_counter()
+    evidence = collect(simulator, train, test, free_parameters, units=units, tolerances=tolerances,
+                       noise_floor=noise_floor, repeats=repeats, hold=hold, closed_loop=closed_loop, effects=effects,
+                       without=without, jobs=jobs, progress=progress, source=source)
+    return conclude(evidence, thresholds, started, progress)
+
+
+def collect(simulator, train, test=None, free_parameters=None, *, units=None, tolerances=None, noise_floor=None,
+            repeats=(), hold="zero", closed_loop=False, effects=None, without=(), jobs=1, progress=None,
+            source="") -> Evidence:
+    """Check what came, refit the nominal simulator, fit every hypothesis worth it; parameters as for `explain`."""
     say = progress or (lambda fraction, text: None)
     train = [train] if isinstance(train, Recording) else list(train)
     test = [] if test is None else ([test] if isinstance(test, Recording) else list(test))
@@ -99,41 +108,38 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
         if any(len(r.time) == len(q.time) and np.array_equal(r.outputs, q.outputs) for q in train):
             raise InputError(f"test recording {r.name} is also a training recording; hold one out")
     say(0.02, "refitting the nominal simulator")
-    named = {r.name: r for r in (*train, *test)}
-    groups = [[named[n] for n in group if n in named] for group in repeats]
-    kept = [g for g in groups if len(g) > 1 and _same_input(g)]
-    if len(kept) < len(groups):
-        notes.append("repeated recordings with different inputs (a closed loop?) say nothing about the floor: not used")
+    groups, dropped = _repeats(repeats, {r.name: r for r in (*train, *test)})
     problem = prepare(plant, data, held, [units.get(n, "") for n in train[0].input_names],
                       [units.get(n, "") for n in train[0].output_names], free_parameters, tolerances,
-                      noise_floor,
-                      [[r.outputs for r in g] for g in kept], hold == "first")
-    notes += hygiene(problem, closed_loop)
+                      noise_floor, groups, hold == "first")
     catalogue = [e for e in (CATALOGUE if effects is None else effects) if e.id not in without]
-    located = locate_effects(catalogue, problem.structure)
-    say(0.15, f"screening {len(located)} candidates")
-    null = null_hypothesis(problem)
-    screened = screen(problem, problem.null, located, jobs)
-    chosen = shortlist(screened)
-    if at_floor(problem, thresholds or Thresholds()):
-        chosen = chosen[:3]  # nothing to explain: the best few are fitted so that the report can show them
-    say(0.3, f"fitting {len(chosen)} candidates")
-    singles = fit_shortlist(problem, chosen, jobs)
-    pairs = []
-    if singles and _worth_pairs(problem, null, singles):
-        say(0.6, "fitting pairs")
-        cheap = len(data.U) * problem.settings.substeps < 5000
-        pairs = fit_pairs(problem, singles, located, jobs, width=4 if cheap else 2)
+    return gather(problem, catalogue, [*notes, *dropped, *hygiene(problem, closed_loop)], jobs, say)
+
+
+def conclude(evidence: Evidence, thresholds: Thresholds | None = None, started: float | None = None,
+             progress: Callable | None = None) -> Report:
+    """Decide, locate and report on hypotheses that are already fitted; `started` is the clock at the beginning."""
+    say = progress or (lambda fraction, text: None)
+    problem = evidence.problem
     say(0.85, "deciding")
-    decision = decide(problem, null, singles, pairs, thresholds)
+    decision = decide(problem, evidence.null, evidence.singles, evidence.pairs, thresholds)
     say(0.9, "locating")
     named = decision.members[0].located[0].place.channel if decision.members else ""
     location = locate(problem, named, look=decision.verdict not in ("agreement", "parameters_only"))
     fallback = correct(problem, location) if decision.verdict == "unexplained" else None
-    report = build_report(problem, null, singles, pairs, screened, decision, location, notes,
-                          len(located) + len(pairs), clock.perf_counter() - started, fallback)
+    seconds = 0.0 if started is None else clock.perf_counter() - started
+    report = build_report(problem, evidence.null, evidence.singles, evidence.pairs, evidence.screened, decision,
+                          location, evidence.notes, evidence.tried, seconds, fallback)
     say(1.0, "done")
     return report
+
+
+def _repeats(repeats, named) -> tuple[list, list[str]]:
+    """Output arrays of every group of true repeats, and a note where a group was none."""
+    groups = [[named[n] for n in group if n in named] for group in repeats]
+    kept = [g for g in groups if len(g) > 1 and _same_input(g)]
+    dropped = ["repeated recordings with different inputs (a closed loop?) say nothing about the floor: not used"]
+    return [[r.outputs for r in g] for g in kept], dropped if len(kept) < len(groups) else []
 
 
 def _same_input(group) -> bool:
@@ -142,14 +148,6 @@ def _same_input(group) -> bool:
     first = group[0].inputs[:n]
     spread = np.std(first, axis=0) + 1e-12
     return all(np.all(np.sqrt(np.mean((r.inputs[:n] - first) ** 2, axis=0)) < 0.01 * spread) for r in group[1:])
-
-
-def _worth_pairs(problem, null, singles) -> bool:
-    """Pairs are searched unless the best single law already reaches the floor, or there is nothing to explain."""
-    floor = floor_square(problem)
-    if null.test_error < 1.25 * floor:
-        return False
-    return min(h.train_error for h in singles) > max(1.2 * floor, 0.002 * null.train_error)
 
 
 def _check_sizes(plant, recordings):
@@ -177,12 +175,17 @@ def explain_case(case_dir, out=None, jobs: int = 1, progress: Callable | None = 
     InputError
         For an unusable case; nothing is written then.
     """
+    started = clock.perf_counter()
     case = load_case(case_dir)
-    report = explain(case.plant, case.train, case.test or None, case.free, tolerances=case.tolerances,
-                     noise_floor=case.noise_floor, repeats=case.repeats,
-                     hold="first" if case.first_order_hold else
-                     "zero", closed_loop=case.closed_loop, without=without, jobs=jobs, progress=progress,
-                     source=case.simulator_source)
+    report = conclude(collect_case(case, jobs, progress, without), None, started, progress)
     write_report(report, Path(out) if out is not None else Path(case_dir) / "explained",
                  case.simulator_source)
     return report
+
+
+def collect_case(case: Case, jobs: int = 1, progress: Callable | None = None, without: Sequence[str] = ()) -> Evidence:
+    """The evidence of a loaded case folder."""
+    return collect(case.plant, case.train, case.test or None, case.free, tolerances=case.tolerances,
+                   noise_floor=case.noise_floor, repeats=case.repeats,
+                   hold="first" if case.first_order_hold else "zero", closed_loop=case.closed_loop, without=without,
+                   jobs=jobs, progress=progress, source=case.simulator_source)

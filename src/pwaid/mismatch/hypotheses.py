@@ -14,13 +14,16 @@ from pwaid.mismatch.model import Located, Model
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.screen import Screened, run_jobs, screen
 
-__all__ = ["Hypothesis", "fit_pairs", "fit_shortlist", "floor_square", "hypothesis_of", "mean_square",
+__all__ = ["Hypothesis", "fit_members", "fit_pairs", "fit_shortlist", "floor_square", "hypothesis_of", "mean_square",
            "null_hypothesis", "share"]
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """A fitted set of effects with its errors on training and held-out recordings (weighted mean squares)."""
+    """A fitted set of effects with its errors on training and held-out recordings (weighted mean squares).
+
+    `coarse` is its fit on the segments of `Problem.coarse`, on which further effects are screened.
+    """
 
     located: tuple[Located, ...]
     fit: Fit
@@ -29,6 +32,7 @@ class Hypothesis:
     test_error: float
     share: float
     score: float = 0.0
+    coarse: Fit | None = None
 
     @property
     def ids(self) -> tuple[str, ...]:
@@ -64,23 +68,23 @@ def share(problem: Problem, error: float, before: float | None = None) -> float:
     return float((start - error) / explainable) if explainable > 1e-12 else 0.0
 
 
-def hypothesis_of(problem: Problem, fit: Fit, score: float, start=None) -> Hypothesis:
+def hypothesis_of(problem: Problem, fit: Fit, score: float, coarse: Fit | None = None) -> Hypothesis:
     """The fit with its errors on training and held-out recordings."""
-    test = problem.heldout(fit, start)
+    test = problem.heldout(fit)
     train_error = mean_square(problem, fit, problem.train)
     test_error = mean_square(problem, test, problem.test)
     return Hypothesis(fit.model.located, fit, test, train_error, test_error, share(problem, test_error),
-                      score)
+                      score, coarse or fit)
 
 
 def null_hypothesis(problem: Problem) -> Hypothesis:
     """The refitted simulator without any effect."""
-    return hypothesis_of(problem, problem.null, 0.0)
+    return hypothesis_of(problem, problem.null, 0.0, problem.null_coarse)
 
 
 def _window(problem: Problem, base: Fit, samples: int = 600) -> tuple[Dataset, np.ndarray]:
     """The quarter of each recording where the residual is largest, with the start states simulated there."""
-    data = problem.train
+    data = problem.coarse
     energy = np.sum(((data.Y - base.Y) / problem.sigma) ** 2, axis=1)
     keep, rows, starts, new = [], [], [], 0
     for a, b in data.recordings:
@@ -106,7 +110,7 @@ def _trials(problem: Problem, base: Fit, candidate: Screened) -> list[Fit]:
     """
     model = Model(problem.settings, (*base.model.located, candidate.located))
     starts = candidate.starts or (np.zeros(candidate.located.size),)
-    data, X0 = problem.train, base.X0
+    data, X0 = problem.coarse, base.X0
     if not any(e.effect.family == "time" for e in model.located):
         data, X0 = _window(problem, base)
     before, n = base.theta, base.model.np
@@ -116,19 +120,27 @@ def _trials(problem: Problem, base: Fit, candidate: Screened) -> list[Fit]:
     return sorted(trials, key=lambda f: f.cost)
 
 
-def _finish(problem: Problem, base: Fit, trials: Sequence[Fit], iterations: int = 20) -> Fit:
-    """All data from the best trial, and from the second where it is about as good."""
+def _finish(problem: Problem, base: Fit, trials: Sequence[Fit], iterations: int = 20) -> tuple[Fit, Fit]:
+    """All data from the best trial, and from the second where it is about as good: on segments, then as a whole."""
     ends = []
     for trial in trials[:2]:
         distinct = not ends or np.max(np.abs(trial.theta - trials[0].theta)) > 0.05
         if ends and (trial.cost > 3 * trials[0].cost or not distinct):
             break
-        ends.append(fit_model(trial.model, problem.train, problem.sigma, trial.theta, base.X0,
+        ends.append(fit_model(trial.model, problem.coarse, problem.sigma, trial.theta, base.X0,
                               problem.ranges, 5, 1e-3))
     best = min(ends, key=lambda f: f.cost)
     model = _resolved(problem, best)
-    return fit_model(model, problem.train, problem.sigma, best.theta, best.X0, problem.ranges, iterations,
-                     3e-4)
+    coarse = fit_model(model, problem.coarse, problem.sigma, best.theta, best.X0, problem.ranges, iterations, 3e-4)
+    return on_whole(problem, coarse, iterations), coarse
+
+
+def on_whole(problem: Problem, coarse: Fit, iterations: int = 20) -> Fit:
+    """The fit on the training recordings as they are judged, from the one on segments."""
+    if problem.coarse.segments.shape == problem.train.segments.shape:
+        return coarse
+    X0 = coarse.X0[np.searchsorted(problem.coarse.segments[:, 0], problem.train.segments[:, 0])]
+    return fit_model(coarse.model, problem.train, problem.sigma, coarse.theta, X0, problem.ranges, iterations, 3e-4)
 
 
 def _resolved(problem: Problem, fit: Fit, most: int = 8) -> Model:
@@ -136,11 +148,11 @@ def _resolved(problem: Problem, fit: Fit, most: int = 8) -> Model:
     model, Y = fit.model, fit.Y
     if problem.plant.dt:
         return model
-    left = np.sqrt(np.mean((problem.train.Y - Y) ** 2, axis=0))
+    left = np.sqrt(np.mean((problem.coarse.Y - Y) ** 2, axis=0))
     allowed = np.maximum(0.15 * left, 0.3 * problem.floor.level)
     while model.substeps < most:
         finer = Model(problem.settings, model.located, 2 * model.substeps)
-        Yf, _ = finer.simulate(fit.theta, fit.X0, problem.train)
+        Yf, _ = finer.simulate(fit.theta, fit.X0, problem.coarse)
         if np.all(np.sqrt(np.mean((Yf - Y) ** 2, axis=0)) < allowed):
             break
         model, Y = finer, Yf
@@ -149,11 +161,11 @@ def _resolved(problem: Problem, fit: Fit, most: int = 8) -> Model:
 
 def fit_shortlist(problem: Problem, candidates: Sequence[Screened], jobs: int = 1, base: Fit | None = None,
                   keep: int = 5, tick=None) -> list[Hypothesis]:
-    """Try every candidate on top of `base` (the null by default), fit the `keep` best fully; best first.
+    """Try every candidate on top of `base`, a fit on segments (the null by default); fit the `keep` best, best first.
 
     Laws contained in one that is kept, and ties within a factor of two, are kept too.
     """
-    base = problem.null if base is None else base
+    base = problem.null_coarse if base is None else base
 
     def attempt(candidate):
         trials = _trials(problem, base, candidate)
@@ -170,8 +182,8 @@ def fit_shortlist(problem: Problem, candidates: Sequence[Screened], jobs: int = 
 
     def finish(item):
         trials, candidate = item
-        fit = _finish(problem, base, trials)
-        return hypothesis_of(problem, fit, candidate.score)
+        fit, coarse = _finish(problem, base, trials)
+        return hypothesis_of(problem, fit, candidate.score, coarse)
 
     return sorted(run_jobs(finish, kept, jobs), key=lambda h: h.train_error)
 
@@ -202,7 +214,7 @@ def fit_pairs(problem: Problem, singles: Sequence[Hypothesis], located: Sequence
     seen: set[frozenset] = set()
     for h in _distinct(singles, beam):
         others = [c for c in located if not _same_knob(c, h.located[0])]
-        again = screen(problem, h.fit, others, jobs)
+        again = screen(problem, h.coarse, others, jobs)
         chosen = []
         for s in again:
             key = frozenset(((h.ids[0], h.located[0].place.signal),
@@ -210,11 +222,41 @@ def fit_pairs(problem: Problem, singles: Sequence[Hypothesis], located: Sequence
             if s.score > 0 and key not in seen and len(chosen) < width:
                 seen.add(key)
                 chosen.append(s)
-        pairs += fit_shortlist(problem, chosen, jobs, base=h.fit, tick=tick)
+        pairs += fit_shortlist(problem, chosen, jobs, base=h.coarse, tick=tick)
     pairs.sort(key=lambda h: h.train_error)
     for best in _distinct(pairs, 1):
         pairs += _variants(problem, best, singles, located, jobs, tick)
     return sorted(pairs, key=lambda h: h.train_error)
+
+
+def fit_members(problem: Problem, pairs: Sequence[Hypothesis], singles: Sequence[Hypothesis], jobs: int = 1,
+                count: int = 3) -> list[Hypothesis]:
+    """The singles, each replaced by a fit that starts from its part of a good pair where that ends lower.
+
+    A second effect of no size can lead the first out of a local minimum; what it led to must stand alone.
+    """
+    known = {h.located[0].key: h for h in singles}
+    starts = {}
+    for pair in pairs[:count]:
+        first = pair.coarse.model.np
+        parts = np.split(pair.coarse.theta, [first, first + pair.located[0].size])
+        for e, z in zip(pair.located, parts[1:], strict=True):
+            rival = known.get(e.key)
+            if rival is None or pair.train_error < 0.8 * rival.train_error:
+                starts.setdefault(e.key, (
+                    e, np.concatenate([parts[0], z]), pair.coarse.X0, pair.coarse.model.substeps))
+
+    def refit(item):
+        e, theta, X0, substeps = item
+        model = Model(problem.settings, (e,), substeps)
+        coarse = fit_model(model, problem.coarse, problem.sigma, theta, X0, problem.ranges, 20, 3e-4)
+        return hypothesis_of(problem, on_whole(problem, coarse), known[e.key].score if e.key in known else 0.0, coarse)
+
+    for h in run_jobs(refit, starts.values(), jobs):
+        rival = known.get(h.located[0].key)
+        if rival is None or h.train_error < rival.train_error:
+            known[h.located[0].key] = h
+    return sorted(known.values(), key=lambda h: h.train_error)
 
 
 def _variants(problem, pair, singles, located, jobs, tick):
@@ -225,5 +267,5 @@ def _variants(problem, pair, singles, located, jobs, tick):
         return []
     others = [c for c in located if c.effect.id == second.effect.id and c.key != second.key
               and c.place.kind == second.place.kind][:3]
-    candidates = [s for s in screen(problem, base.fit, others, jobs) if s.score > 0]
-    return fit_shortlist(problem, candidates, jobs, base=base.fit, tick=tick)
+    candidates = [s for s in screen(problem, base.coarse, others, jobs) if s.score > 0]
+    return fit_shortlist(problem, candidates, jobs, base=base.coarse, tick=tick)

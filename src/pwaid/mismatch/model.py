@@ -16,6 +16,7 @@ from pwaid.mismatch.slow_engine import simulate_segments_slowly
 __all__ = ["Located", "Model", "Settings"]
 
 LIMIT = 1e9
+REACH = 2.0  # tolerances (on the logarithmic axis) that a nominal parameter may move
 _CONTACTS = {"stiffness": 0.8, "contact_frequency": 0.8}
 
 
@@ -152,7 +153,7 @@ class Model:
         return p
 
     def bounds(self, sample_time: float) -> tuple[np.ndarray, np.ndarray]:
-        wide = np.log1p(self.settings.tolerance) * 3.0
+        wide = np.log1p(self.settings.tolerance) * REACH
         low, high = [-wide], [wide]
         for e in self.located:
             a, b = e.bounds(sample_time / self.substeps)

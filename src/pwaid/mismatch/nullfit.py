@@ -20,22 +20,30 @@ from pwaid.mismatch.structure import Structure
 __all__ = ["Problem", "first_states", "prepare"]
 
 DEFAULT_TOLERANCE = 0.3
+UNSTABLE = 4.0  # growth over a recording, in time constants, that no start state can follow
+LOST = 0.5  # of an output's standard deviation
 
 
 @dataclass(frozen=True)
 class Problem:
-    """Everything the hypotheses share: data, weights, floor, structure, and the nominal and null fits."""
+    """Everything the hypotheses share: data, weights, floor, structure, and the nominal and null fits.
+
+    `coarse` is `train` cut into segments that any start of the parameters can follow; candidates are screened and
+    first fitted there, then on `train`.
+    """
 
     plant: Plant
     settings: Settings
     train: Dataset
     test: Dataset
+    coarse: Dataset
     sigma: np.ndarray
     floor: Floor
     structure: Structure
     ranges: np.ndarray
     nominal: Fit
     null: Fit
+    null_coarse: Fit
     nominal_test: Fit
     null_test: Fit
     notes: tuple[str, ...] = ()
@@ -162,10 +170,13 @@ def _substeps(model: Model, theta, X0, data: Dataset) -> int:
     return 8
 
 
-def segment_length(plant: Plant, growth: float, samples: int, sample_time: float, time_scale: float) -> int:
-    """Samples per segment: whole recordings when stable, a few time constants otherwise."""
+def segment_length(growth: float, samples: int, sample_time: float, time_scale: float) -> int:
+    """Samples per segment: whole recordings when stable, a few time constants when unstable or integrating.
+
+    `growth` is the largest real part of the eigenvalues, per second.
+    """
     length = samples * sample_time
-    if growth * length > 4.0:
+    if growth * length > UNSTABLE:
         return int(max(30, 2.5 / growth / sample_time))
     if growth * length > -0.7:  # integrating: errors pile up over the whole recording
         return int(max(200, min(samples, 12 * time_scale / sample_time)))
@@ -197,48 +208,77 @@ def prepare(plant: Plant, train: Dataset, test: Dataset, input_units, output_uni
     scale = np.std(train.Y, axis=0) + 1e-12
 
     growth = _growth(plant, _state_cloud(plant, rough, train), train.U)
-    samples = segment_length(plant, growth, int(np.max(np.diff(train.recordings))), train.sample_time,
-                             rough.time_scale)
-    train, test = train.cut(samples), test.cut(samples)
-    if samples < np.max(np.diff(train.recordings)):
-        notes += (f"the simulator is integrating or unstable: {len(train.segments)} segments of about "
-                  f"{samples * train.sample_time:.3g} s, each with free start states",)
-    X0 = first_states(plant, mapping, train)
-    if not plant.linear:
-        X0 = _usable_start(model, theta, X0, train)
-    substeps = _substeps(model, theta, X0, train)
-    settings = replace(settings, substeps=substeps)
-    model = Model(settings)
-    Y, X = model.simulate(theta, X0, train)
-    if not np.all(np.abs(Y) < LIMIT):
-        share = np.mean(np.any(np.abs(Y) >= LIMIT, axis=1))
-        notes += (f"the nominal simulation diverges on {100 * share:.0f} % of the samples before refitting",)
-        if share > 0.9:
-            raise InputError("the simulation diverges from every start state; check signs and units of the simulator")
-    ranges = np.maximum(np.quantile(np.abs(X[np.all(np.isfinite(X), axis=1)]), 0.99, axis=0), 1e-9)
-    ranges = np.minimum(ranges, 1e6)
+    longest = int(np.max(np.diff(train.recordings)))
+    samples = segment_length(growth, longest, train.sample_time, rough.time_scale)
+    coarse = train.cut(samples)
+    X0 = _starts(model, theta, coarse, mapping)
+    model = Model(replace(settings, substeps=_substeps(model, theta, X0, coarse)))
+    Y, X = model.simulate(theta, X0, coarse)
+    notes += _diverging(Y)
+    ranges = np.minimum(np.maximum(np.quantile(np.abs(X[np.all(np.isfinite(X), axis=1)]), 0.99, axis=0), 1e-9), 1e6)
     for k, i in enumerate(rough.output_state):
         if i >= 0:
             ranges[i] = np.max(np.abs(train.Y[:, k])) + 1e-9
-    nominal = fit_starts(model, train, scale, theta, X0, ranges, 12)
-    null = _null(model, train, scale, nominal, ranges, rough.time_scale)
+    nominal = fit_starts(model, coarse, scale, theta, X0, ranges, 12)
+    first = _null(model, coarse, scale, nominal, ranges, rough.time_scale)
+    fits = first, nominal
+    if samples < longest:
+        stable = growth * longest * train.sample_time <= UNSTABLE
+        whole = stable and _on_whole(model, train, scale, first, mapping, ranges)
+        if whole:
+            fits = whole, fit_starts(model, train, scale, theta, _starts(model, theta, train, mapping), ranges, 12)
+        else:
+            train, test = coarse, test.cut(samples)
+            notes += (f"the simulator is integrating or unstable: {len(train.segments)} segments of about "
+                      f"{samples * train.sample_time:.3g} s, each with free start states",)
+    null, nominal = fits
     residual = null.residual(train)
     floor = estimate_floor(residual, train.Y, train.segments, plant.output_names, noise_floor, repeats)
     rms = np.sqrt(np.mean(np.clip(residual, -1e6, 1e6) ** 2, axis=0))
     sigma = np.sqrt(np.maximum(floor.level, 1e-5 * scale) ** 2 + (0.1 * rms) ** 2)
     null = fit_model(model, train, sigma, null.theta, null.X0, ranges, 20)
-    X0t = first_states(plant, mapping, test)
-    if not plant.linear:
-        X0t = _usable_start(model, null.theta, X0t, test)
-    nominal_test = fit_starts(model, test, sigma, theta, X0t, ranges, 12)
-    null_test = fit_starts(model, test, sigma, null.theta, X0t, ranges, 12)
+    null_coarse = null if train.segments.shape == coarse.segments.shape else fit_model(
+        model, coarse, sigma, first.theta, first.X0, ranges, 20)
+    nominal_test = fit_starts(model, test, sigma, theta, _starts(model, theta, test, mapping), ranges, 12)
+    null_test = fit_starts(model, test, sigma, null.theta, _starts(model, null.theta, test, mapping), ranges, 12)
     length = float(np.max(np.diff(train.recordings)) * train.sample_time)
     structure = find_structure(plant, null.X[:, :plant.sizes[0]], train.U, train.Y, input_units, output_units,
                                train.sample_time, length, free)
     if not np.all(np.isfinite(null.cost)):
         warnings.warn("the nominal simulation could not be fitted", stacklevel=2)
-    return Problem(plant, settings, train, test, sigma, floor, structure, ranges, nominal, null, nominal_test,
-                   null_test, notes)
+    return Problem(plant, model.settings, train, test, coarse, sigma, floor, structure, ranges, nominal, null,
+                   null_coarse, nominal_test, null_test, notes)
+
+
+def _on_whole(model, train, scale, first: Fit, mapping, ranges) -> Fit | None:
+    """The null on whole recordings, from its fit on segments; None where that loses an output.
+
+    Every start state that a segment brings can absorb part of what is to be explained, so recordings are judged
+    whole unless the refitted simulation cannot be kept on them: an error above LOST of an output's spread.
+    """
+    fit = fit_model(model, train, scale, first.theta, _starts(model, first.theta, train, mapping), ranges, 12, 1e-3)
+    error = np.sqrt(np.mean(fit.residual(train) ** 2, axis=0))
+    return fit if np.all(error < LOST * scale) else None
+
+
+def _diverging(Y) -> tuple[str, ...]:
+    """A note on samples that the nominal simulation loses.
+
+    Raises
+    ------
+    InputError
+        When it loses nearly all.
+    """
+    share = np.mean(np.any(~(np.abs(Y) < LIMIT), axis=1))
+    if share > 0.9:
+        raise InputError("the simulation diverges from every start state; check signs and units of the simulator")
+    return (f"the nominal simulation diverges on {100 * share:.0f} % of the samples before refitting",) if share else ()
+
+
+def _starts(model, theta, data: Dataset, mapping):
+    """Start states from which the plant can be simulated."""
+    X0 = first_states(model.settings.plant, mapping, data)
+    return X0 if model.settings.plant.linear else _usable_start(model, theta, X0, data)
 
 
 def _usable_start(model, theta, X0, data):

@@ -7,6 +7,8 @@ outputs and spread along the kinematic chain.
 
 from __future__ import annotations
 
+from itertools import permutations
+
 import numpy as np
 
 from pwaid.mismatch.plant import Plant
@@ -193,6 +195,23 @@ def _guess_stores(kinds, plant, points, high):
             decided = {k for k in kinds if k in ("fluid", "thermal")}
 
 
+def _collocated(gain, speeds, forces) -> dict[int, int]:
+    """The input that works on each speed, where coupled inertias let every input accelerate every speed.
+
+    A force and the speed it works on are conjugate: with inputs in that order the accelerations per force are the
+    inverse of the inertia matrix, symmetric and positive definite. Empty where no order makes them so.
+    """
+    n = len(speeds)
+    if not 2 <= n <= min(4, len(forces)):
+        return {}
+    best, found = 0.02, {}
+    for order in permutations(forces, n):
+        B = gain[np.ix_(speeds, order)]
+        if np.linalg.norm(B - B.T) <= best * np.linalg.norm(B) and np.all(np.linalg.eigvalsh(B + B.T) > 0):
+            best, found = np.linalg.norm(B - B.T) / np.linalg.norm(B), dict(zip(speeds, order, strict=True))
+    return found
+
+
 def _force_entries(plant, kinds, points, low, high, rms_u, input_units, units):
     entry, scale, funits, iunits, mobility = {}, {}, {}, {}, {}
     p = plant.vector()
@@ -215,6 +234,8 @@ def _force_entries(plant, kinds, points, low, high, rms_u, input_units, units):
         columns = np.array(columns)
         gain[:, j] = np.mean(columns, axis=0)
         affine[:, j] = np.all(np.isclose(columns, gain[:, j], rtol=0.6, atol=1e-12), axis=0)
+    pairs = _collocated(gain, [i for i, kind in enumerate(kinds) if kind == "velocity"],
+                        [j for j in range(nu) if unit_kind(input_units[j]) in ("force", "torque")])
     for i, kind in enumerate(kinds):
         if kind != "velocity":
             continue
@@ -229,7 +250,7 @@ def _force_entries(plant, kinds, points, low, high, rms_u, input_units, units):
             entry[i] = (1, i, inertia[0])
             mobility[i] = 1.0 / p[inertia[0]]
         elif forces:
-            j = max(forces, key=lambda j: abs(gain[i, j]))
+            j = pairs.get(i, max(forces, key=lambda j: abs(gain[i, j])))
             entry[i] = (0, j, -1)
             funits[i] = parse_unit(input_units[j])
             mobility[i] = abs(gain[i, j])

@@ -98,7 +98,7 @@ def _probe_grid(located: Located, problem: Problem, residual) -> list[np.ndarray
         if effect.id == "position_ripple" and q.name == "wavenumber":
             values = tuple(np.arange(1.5, 50.0, 1.2))
         elif effect.id == "periodic_disturbance" and q.name == "angular_frequency":
-            values = tuple(w / located.scales[0] for w in _peaks(residual, problem.train, located))
+            values = tuple(w / located.scales[0] for w in _peaks(residual, problem.coarse, located))
         options.append(values)
     grid = [located.internal(m) for m in product(*options)]
     cap = 120 if effect.id == "position_ripple" else 36
@@ -123,8 +123,11 @@ def _peaks(residual, data: Dataset, located, count: int = 3):
 
 def screen(problem: Problem, fit: Fit, located: Sequence[Located], jobs: int = 1,
            tick=None) -> list[Screened]:
-    """Score every candidate on top of `fit` (the null, or a hypothesis already accepted), best first."""
-    data, sigma = problem.train, problem.sigma
+    """Score every candidate on top of `fit` (the null, or a hypothesis already accepted), best first.
+
+    `fit` is a fit to `problem.coarse`.
+    """
+    data, sigma = problem.coarse, problem.sigma
     base = fit.model
     e = ((data.Y - fit.Y) / sigma).ravel()
     project = Projector(base, fit, data, sigma, problem.ranges)

@@ -1,0 +1,71 @@
+"""The evidence a verdict rests on: every hypothesis worth fitting, fitted.
+
+    screen -> fit -> pairs
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from pwaid.mismatch.decide import Thresholds, at_floor
+from pwaid.mismatch.effects.base import Effect
+from pwaid.mismatch.hypotheses import (
+    Hypothesis,
+    fit_members,
+    fit_pairs,
+    fit_shortlist,
+    floor_square,
+    null_hypothesis,
+)
+from pwaid.mismatch.nullfit import Problem
+from pwaid.mismatch.screen import Screened, locate_effects, screen, shortlist
+
+__all__ = ["Evidence", "gather"]
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """The refitted null, the screen, and the fitted single effects and pairs of one problem, best first.
+
+    `tried` counts hypotheses, `notes` holds what hygiene found.
+    """
+
+    problem: Problem
+    null: Hypothesis
+    screened: tuple[Screened, ...]
+    singles: tuple[Hypothesis, ...]
+    pairs: tuple[Hypothesis, ...]
+    tried: int
+    notes: tuple[str, ...] = ()
+
+
+def gather(problem: Problem, catalogue: Sequence[Effect], notes: Sequence[str] = (), jobs: int = 1,
+           progress: Callable | None = None) -> Evidence:
+    """Screen the catalogue at every place this simulator offers, fit the best, and pairs where they may matter."""
+    say = progress or (lambda fraction, text: None)
+    located = locate_effects(catalogue, problem.structure)
+    say(0.15, f"screening {len(located)} candidates")
+    null = null_hypothesis(problem)
+    screened = screen(problem, problem.null_coarse, located, jobs)
+    chosen = shortlist(screened)
+    if at_floor(problem, Thresholds()):
+        chosen = chosen[:3]  # nothing to explain: the best few are fitted so that the report can show them
+    say(0.3, f"fitting {len(chosen)} candidates")
+    singles = fit_shortlist(problem, chosen, jobs)
+    pairs = []
+    if singles and _worth_pairs(problem, null, singles):
+        say(0.6, "fitting pairs")
+        cheap = len(problem.train.U) * problem.settings.substeps < 5000
+        pairs = fit_pairs(problem, singles, located, jobs, width=4 if cheap else 2)
+        singles = fit_members(problem, pairs, singles, jobs)
+    return Evidence(problem, null, tuple(screened), tuple(singles), tuple(pairs), len(located) + len(pairs),
+                    tuple(notes))
+
+
+def _worth_pairs(problem, null, singles) -> bool:
+    """Pairs are searched unless the best single law already reaches the floor, or there is nothing to explain."""
+    floor = floor_square(problem)
+    if null.test_error < 1.25 * floor:
+        return False
+    return min(h.train_error for h in singles) > max(1.2 * floor, 0.002 * null.train_error)
