@@ -5,12 +5,13 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from pwaid.errors import InputError
 from pwaid.mismatch.dataset import Dataset
-from pwaid.mismatch.fit import Fit, fit_model, fit_starts
+from pwaid.mismatch.fit import Fit, fit_model, fit_starts, jacobian
 from pwaid.mismatch.floor import Floor, estimate_floor, white_level
 from pwaid.mismatch.model import LIMIT, Model, Settings
 from pwaid.mismatch.plant import Plant
@@ -48,18 +49,41 @@ class Problem:
     null_test: Fit
     notes: tuple[str, ...] = ()
 
-    def heldout(self, fit: Fit, start: np.ndarray | None = None) -> Fit:
-        """The fitted model on the held-out recordings, its start states fitted there."""
-        X0 = self.null_test.X0 if start is None else start
-        fitted = fit_starts(fit.model, self.test, self.sigma, fit.theta, X0, self.ranges)
-        s = self.structure  # the null may have bent its start states to absorb the effect: try the measured ones
+    def heldout(self, fit: Fit) -> Fit:
+        """The fitted model on the held-out recordings, its start states fitted there, segment by segment the best of
+        several starts: the null's, which may be bent to absorb the effect; the measured ones; and, for states that
+        the null does not see, a scan of the range they visit."""
+        s = self.structure
         measured = first_states(self.plant, (s.output_state, s.partner, s.ratio), self.test)
-        other = fit_starts(fit.model, self.test, self.sigma, fit.theta, measured, self.ranges)
-        better = self._by_segment(other) < self._by_segment(fitted)
-        if not better.any():
-            return fitted
-        mixed = np.where(better[:, None], other.X0, fitted.X0)
-        return fit_starts(fit.model, self.test, self.sigma, fit.theta, mixed, self.ranges)
+        best = self._starts_from(fit, self.null_test.X0)
+        for X0 in (measured, *self._scans(fit, best.X0)):
+            other = self._starts_from(fit, X0)
+            better = self._by_segment(other) < self._by_segment(best)
+            if better.any():
+                best = self._starts_from(fit, np.where(better[:, None], other.X0, best.X0))
+        return best
+
+    def _starts_from(self, fit: Fit, X0) -> Fit:
+        return fit_starts(fit.model, self.test, self.sigma, fit.theta, X0, self.ranges)
+
+    def _scans(self, fit: Fit, X0, count: int = 24):
+        """Start states with one unseen state at its best value of a scan, one array per unseen state."""
+        found = []
+        for i in self.unseen if fit.model.located else ():
+            values = np.linspace(self.structure.low[i], self.structure.high[i], count)
+            trials = np.repeat(X0[None], count, axis=0)
+            trials[:, :, i] = values[:, None]
+            runs = [fit.model.simulate(fit.theta, x, self.test) for x in trials]
+            sums = np.array([self._by_segment(replace(fit, Y=Y, X=X)) for Y, X in runs])
+            found.append(trials[np.argmin(sums, axis=0), np.arange(len(X0))])
+        return found
+
+    @cached_property
+    def unseen(self) -> tuple[int, ...]:
+        """States whose start the null's outputs do not depend on, such as the position where only speed is measured."""
+        J = jacobian(self.null_test.model, self.null_test.theta, self.null_test.X0, self.test, self.sigma,
+                     self.null_test.Y, self.ranges)
+        return tuple(i for i in range(self.plant.sizes[0]) if np.max(np.abs(J.S[:, i])) * self.ranges[i] < 1e-6)
 
     def _by_segment(self, fit: Fit) -> np.ndarray:
         """Weighted sum of squares of every held-out segment; infinite where the simulation diverged."""

@@ -96,7 +96,7 @@ def _probe_grid(located: Located, problem: Problem, residual) -> list[np.ndarray
     for q in effect.quantities:
         values = q.probes
         if effect.id == "position_ripple" and q.name == "wavenumber":
-            values = tuple(np.arange(1.5, 50.0, 1.2))
+            values = tuple(np.arange(3.0, 50.0, 1.2))
         elif effect.id == "periodic_disturbance" and q.name == "angular_frequency":
             values = tuple(w / located.scales[0] for w in _peaks(residual, problem.coarse, located))
         options.append(values)
