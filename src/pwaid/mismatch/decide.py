@@ -168,10 +168,10 @@ def _judge(problem, passed, reasons):
 
 
 def at_floor(problem, t) -> bool:
-    """Nothing material: every output's held-out error is at the floor, or a trifle of the output itself."""
-    mean = np.mean((problem.test.Y - problem.null_test.Y) ** 2, axis=0)
+    """Nothing material: every output's error is at the floor, or a trifle of the output itself, in training too."""
     floor = np.maximum(problem.floor.level, t.trifle * np.std(problem.train.Y, axis=0)) ** 2
-    return bool(np.all(mean < t.material * floor))
+    return all(np.all(np.mean((data.Y - fit.Y) ** 2, axis=0) < t.material * floor)
+               for data, fit in ((problem.test, problem.null_test), (problem.train, problem.null)))
 
 
 def _unrelated(problem, t) -> bool:

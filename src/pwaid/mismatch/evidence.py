@@ -6,7 +6,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+
+import numpy as np
 
 from pwaid.mismatch.decide import Thresholds, at_floor
 from pwaid.mismatch.effects.base import Effect
@@ -16,12 +18,16 @@ from pwaid.mismatch.hypotheses import (
     fit_pairs,
     fit_shortlist,
     floor_square,
+    hypothesis_of,
     null_hypothesis,
+    on_whole,
 )
 from pwaid.mismatch.nullfit import Problem
-from pwaid.mismatch.screen import Screened, locate_effects, screen, shortlist
+from pwaid.mismatch.screen import Screened, locate_effects, run_jobs, screen, shortlist
 
 __all__ = ["Evidence", "gather"]
+
+KEPT = 0.2  # of an output's standard deviation
 
 
 @dataclass(frozen=True)
@@ -53,6 +59,11 @@ def gather(problem: Problem, catalogue: Sequence[Effect], notes: Sequence[str] =
         chosen = chosen[:3]  # nothing to explain: the best few are fitted so that the report can show them
     say(0.3, f"fitting {len(chosen)} candidates")
     singles = fit_shortlist(problem, chosen, jobs)
+    if problem.whole is not None and singles and _keeps_whole(problem, singles[0]):
+        problem = problem.uncut()
+        null = null_hypothesis(problem)
+        singles = sorted(run_jobs(lambda h: hypothesis_of(problem, on_whole(problem, h.coarse), h.score, h.coarse),
+                                  singles, jobs), key=lambda h: h.train_error)
     pairs = []
     if singles and _worth_pairs(problem, null, singles):
         say(0.6, "fitting pairs")
@@ -61,6 +72,14 @@ def gather(problem: Problem, catalogue: Sequence[Effect], notes: Sequence[str] =
         singles = fit_members(problem, pairs, singles, jobs)
     return Evidence(problem, null, tuple(screened), tuple(singles), tuple(pairs), len(located) + len(pairs),
                     tuple(notes))
+
+
+def _keeps_whole(problem, best: Hypothesis) -> bool:
+    """Whether the best hypothesis follows the uncut training recordings to KEPT of every output's spread."""
+    train, _ = problem.whole
+    fit = on_whole(replace(problem, train=train), best.coarse)
+    error = np.sqrt(np.mean(fit.residual(train) ** 2, axis=0))
+    return bool(np.all(error < KEPT * np.std(train.Y, axis=0)))
 
 
 def _worth_pairs(problem, null, singles) -> bool:

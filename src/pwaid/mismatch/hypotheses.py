@@ -106,7 +106,7 @@ def _window(problem: Problem, base: Fit, samples: int = 600) -> tuple[Dataset, n
 def _trials(problem: Problem, base: Fit, candidate: Screened) -> list[Fit]:
     """A few steps from each of the screen's best starts on the richest quarter of the data, best first.
 
-    One start returns to the nominal parameters: the null may have bent them to absorb the effect.
+    Some return to the nominal parameters: the null may have bent them to absorb the effect.
     """
     model = Model(problem.settings, (*base.model.located, candidate.located))
     starts = candidate.starts or (np.zeros(candidate.located.size),)
@@ -115,7 +115,8 @@ def _trials(problem: Problem, base: Fit, candidate: Screened) -> list[Fit]:
         data, X0 = _window(problem, base)
     before, n = base.theta, base.model.np
     options = [np.concatenate([before, z]) for z in starts[:2 if candidate.located.size < 2 else 3]]
-    options.append(np.concatenate([np.zeros(n), before[n:], starts[0]]))
+    far = starts[0], max(starts, key=lambda z: np.linalg.norm(z - starts[0]))
+    options += [np.concatenate([np.zeros(n), before[n:], z]) for z in far[:1 if len(starts) < 2 else 2]]
     trials = [fit_model(model, data, problem.sigma, theta, X0, problem.ranges, 5, 1e-3) for theta in options]
     return sorted(trials, key=lambda f: f.cost)
 

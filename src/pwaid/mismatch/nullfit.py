@@ -30,7 +30,7 @@ class Problem:
     """Everything the hypotheses share: data, weights, floor, structure, and the nominal and null fits.
 
     `coarse` is `train` cut into segments that any start of the parameters can follow; candidates are screened and
-    first fitted there, then on `train`.
+    first fitted there, then on `train`. `whole` holds the recordings uncut where only the null loses them.
     """
 
     plant: Plant
@@ -48,6 +48,7 @@ class Problem:
     nominal_test: Fit
     null_test: Fit
     notes: tuple[str, ...] = ()
+    whole: tuple[Dataset, Dataset] | None = None
 
     def heldout(self, fit: Fit) -> Fit:
         """The fitted model on the held-out recordings, its start states fitted there, segment by segment the best of
@@ -62,6 +63,19 @@ class Problem:
             if better.any():
                 best = self._starts_from(fit, np.where(better[:, None], other.X0, best.X0))
         return best
+
+    def uncut(self) -> Problem:
+        """The same problem judged on whole recordings, for hypotheses that keep them where the null does not."""
+        train, test = self.whole
+        s, model, theta = self.structure, self.null.model, self.null_coarse.theta
+        mapping = s.output_state, s.partner, s.ratio
+
+        def fitted(data, values, fit=fit_starts, **more):
+            return fit(model, data, self.sigma, values, _starts(model, values, data, mapping), self.ranges, 20, **more)
+
+        null = fitted(train, theta, fit_model)
+        return replace(self, train=train, test=test, whole=None, nominal=fitted(train, 0 * theta), null=null,
+                       nominal_test=fitted(test, 0 * theta), null_test=fitted(test, null.theta))
 
     def _starts_from(self, fit: Fit, X0) -> Fit:
         return fit_starts(fit.model, self.test, self.sigma, fit.theta, X0, self.ranges)
@@ -245,13 +259,14 @@ def prepare(plant: Plant, train: Dataset, test: Dataset, input_units, output_uni
             ranges[i] = np.max(np.abs(train.Y[:, k])) + 1e-9
     nominal = fit_starts(model, coarse, scale, theta, X0, ranges, 12)
     first = _null(model, coarse, scale, nominal, ranges, rough.time_scale)
-    fits = first, nominal
+    fits, whole = (first, nominal), None
     if samples < longest:
         stable = growth * longest * train.sample_time <= UNSTABLE
-        whole = stable and _on_whole(model, train, scale, first, mapping, ranges)
-        if whole:
-            fits = whole, fit_starts(model, train, scale, theta, _starts(model, theta, train, mapping), ranges, 12)
+        kept = stable and _on_whole(model, train, scale, first, mapping, ranges)
+        if kept:
+            fits = kept, fit_starts(model, train, scale, theta, _starts(model, theta, train, mapping), ranges, 12)
         else:
+            whole = (train, test) if stable else None
             train, test = coarse, test.cut(samples)
             notes += (f"the simulator is integrating or unstable: {len(train.segments)} segments of about "
                       f"{samples * train.sample_time:.3g} s, each with free start states",)
@@ -271,7 +286,7 @@ def prepare(plant: Plant, train: Dataset, test: Dataset, input_units, output_uni
     if not np.all(np.isfinite(null.cost)):
         warnings.warn("the nominal simulation could not be fitted", stacklevel=2)
     return Problem(plant, model.settings, train, test, coarse, sigma, floor, structure, ranges, nominal, null,
-                   null_coarse, nominal_test, null_test, notes)
+                   null_coarse, nominal_test, null_test, notes, whole)
 
 
 def _on_whole(model, train, scale, first: Fit, mapping, ranges) -> Fit | None:

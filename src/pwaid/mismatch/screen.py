@@ -195,10 +195,12 @@ def shortlist(screened: Sequence[Screened], top: int = 8, per_family: float = 0.
     if not alive:
         return []
     best = alive[0].score
-    chosen: list[Screened] = []
+    chosen = [s for s in screened if not s.located.effect.quantities]  # no size to probe: the fit must tell
     seen: dict[tuple, int] = {}
     for s in alive:
         key = (s.located.effect.id, s.located.effect.law)
+        if s in chosen:
+            continue
         if len(chosen) < top and seen.get(key, 0) < 2 and (s.score > 0.12 * best or len(chosen) < 3):
             chosen.append(s)
             seen[key] = seen.get(key, 0) + 1

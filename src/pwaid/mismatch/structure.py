@@ -267,11 +267,13 @@ class Structure:
                                       units={"force": self.input_units[j]}))
         return places
 
-    def outputs(self, sides: bool = False, variant: int = 0) -> list[Place]:
-        """Every sensor channel; one per side for limits."""
+    def outputs(self, sides: bool = False, variant: int = 0, unsigned: bool = False) -> list[Place]:
+        """Every sensor channel; one per side for limits; unsigned: only those that hardly show negative values."""
         places = []
         for k, name in enumerate(self.plant.output_names):
             lo, hi = float(self.output_low[k]), float(self.output_high[k])
+            if unsigned and lo < -0.1 * hi:
+                continue
             options = [(variant, (0.0, max(abs(lo), abs(hi), 1e-12)))]
             if sides:
                 options = [(1, (lo, hi - lo)), (-1, (hi, lo - hi))]

@@ -34,10 +34,10 @@ def veto(problem: Problem, h: Hypothesis) -> str:
         if not np.all(np.isfinite(values)):
             return "its parameters are not finite"
         first = e.effect.quantities[0] if e.effect.quantities else None
-        for q, v in zip(e.effect.quantities, z, strict=True):
-            size = q is first or q.name.startswith(("level", "coefficient", "excess"))
-            if q.log and size and v <= np.log(q.low) + 0.05:
-                return f"{q.name} went to zero"
+        sizes = [(q, v) for q, v in zip(e.effect.quantities, z, strict=True) if q.log and (
+            q is first or q.name.startswith(("level", "coefficient", "excess", "load_factor")))]
+        if sizes and all(v <= np.log(q.low) + 0.05 for q, v in sizes):
+            return f"{' and '.join(q.name for q, _ in sizes)} went to zero"
         if e.effect.id == "sensor_saturation" and _beyond(problem, e, values[0]):
             return "the recording goes beyond the limit that is said to clip it"
         if e.effect.id == "end_stop" and abs(z[1]) >= 0.9999:

@@ -68,7 +68,7 @@ EFFECTS = (
            (Quantity("limit", "output_level", 0.02, 1.0, (0.4, 0.6, 0.8, 0.92), log=False),), saturation,
            lambda s: s.outputs(sides=True), ("end_stop", "actuator_saturation"),
            "look at the speed on leaving the flat top: behind a clipped sensor the motion goes on"),
-    Effect("sensor_rectification", "sensor", "y = |y|", (), rectification, lambda s: s.outputs(),
+    Effect("sensor_rectification", "sensor", "y = |y|", (), rectification, lambda s: s.outputs(unsigned=True),
            ("quadratic_stiffness",), "several amplitudes around zero"),
     Effect("sensor_quantization", "sensor", "y = step * round(y/step)",
            (Quantity("step", "output", 1e-3, 1.0, (0.03, 0.1, 0.3)),), quantization, lambda s: s.outputs(),

@@ -16,16 +16,23 @@ def root_outflow(phase, t, h, x, xs, u, p, dx, ii, q):
 
 
 def head_offset(phase, t, h, x, xs, u, p, dx, ii, q):
-    """The outflow sees the level plus an offset; variant 1 moves a second store by q[1] too."""
+    """The outflow sees the level plus an offset; an empty store gives nothing more."""
     if phase == 1:
         xs[ii[4]] = max(x[ii[4]] + q[0], 0.0)
+    elif phase == 2 and q[0] > 0.0 and x[ii[4]] <= 0.0 and dx[ii[4]] < 0.0:
+        dx[ii[4]] = 0.0
 
 
 def two_head_offsets(phase, t, h, x, xs, u, p, dx, ii, q):
-    """The outflows of two stores see their levels plus an offset each."""
+    """The outflows of two stores see their levels plus an offset each; an empty store gives nothing more."""
     if phase == 1:
         xs[ii[4]] = max(x[ii[4]] + q[0], 0.0)
         xs[ii[6]] = max(x[ii[6]] + q[1], 0.0)
+    elif phase == 2:
+        for k in range(2):
+            i = ii[4] if k == 0 else ii[6]
+            if q[k] > 0.0 and x[i] <= 0.0 and dx[i] < 0.0:
+                dx[i] = 0.0
 
 
 def leak(phase, t, h, x, xs, u, p, dx, ii, q):
