@@ -99,6 +99,7 @@ def build(recipe, rng):
     """Draw numbers for `recipe`; raise `Rejected` when a simulation leaves its range."""
     plant = PLANTS[recipe.plant]
     p = np.array([q.typical * np.exp(rng.uniform(-0.3, 0.3)) if q.typical else 0.0 for q in plant.params])
+    p[[q.name == "gain" and q.unit == "-" for q in plant.params]] = 1.0  # a force has one size, wherever it enters
     if plant.name == "two_link_arm":
         p[1] = min(p[1], 0.7 * p[2])
     measured = plant.measured[recipe.measured or str(rng.choice(list(plant.measured)))]
@@ -209,9 +210,9 @@ def _true_side(p, base, drawn, plant):
 def _drifts(drawn, plant, recordings):
     for d in drawn:
         if d.drift:
-            name, change = d.drift
+            name, rate = d.drift
             for rec in recordings:
-                rec.drift = (plant.index(name), 1.0 + change * np.linspace(0.0, 1.0, len(rec.signal)))
+                rec.drift = (plant.index(name), 1.0 + rate * plant.ts * np.arange(len(rec.signal)))
 
 
 def _strangers(recipe, plant, scene, e, recordings, rng):

@@ -41,7 +41,8 @@ CONTAINED_IN = {
     "coulomb_friction": ("asymmetric_coulomb_friction", "stribeck_friction", "presliding_friction",
                          "load_dependent_friction"),
     "viscous_friction": ("asymmetric_viscous_friction",),
-    "linear_stiffness": ("hysteretic_spring",),
+    "linear_stiffness": ("hysteretic_spring", "presliding_friction"),
+    "gravity_torque": ("position_ripple",), "compliance": ("backlash",),
 }
 
 THRESHOLDS = ("actuator_saturation", "actuator_rate_limit", "end_stop", "sensor_saturation", "overflow")
@@ -438,9 +439,9 @@ def _parameter_drift(effect, s, rng, size, beyond):
               "single_tank": "c", "cascaded_tanks": "c2", "thermal_plant": "G", "dc_motor": "R",
               "rl_circuit": "R", "hydraulic_cylinder": "b"}
     name = choice.get(s.plant.name, "b")
-    change = _share(rng, 0.35, 0.7, size, 3.0)
-    return Drawn(effect, {}, {"relative_change": (change, "-")},
-                 {"kind": "parameter", "signal": name, "variables": ["t"]}, drift=(name, change))
+    rate = _share(rng, 0.35, 0.7, size, 3.0) / s.seconds
+    return Drawn(effect, {}, {"rate": (rate, "1/s")}, {"kind": "parameter", "signal": name, "variables": ["t"]},
+                 drift=(name, rate))
 
 
 _DRAWS = {
