@@ -146,7 +146,7 @@ def test_a_runaway_simulation_is_rejected():
 
 def test_calibration_and_score_seeds_never_meet():
     for which, low, high in (("calibration", 0, 10000), ("score", 10000, 20000)):
-        seeds = [j[3] for j in generate.jobs(which, classes.CELLS, classes.CLASSES, 300)]
+        seeds = [j[3] for j in generate.jobs(which, classes.CELLS, classes.CLASSES, {"": 300})]
         assert len(set(seeds)) == len(seeds)
         assert min(seeds) >= low
         assert max(seeds) < high

@@ -286,7 +286,7 @@ def _add_clutter(case, scene, base, rng):
     taken = {n for d in case.drawn for n in d.slots}
     slots = clutter.draw(scene, rng, 0.05 if loud else 0.02, taken)
     limit = LOUD_CLUTTER if loud else QUIET_CLUTTER
-    if case.recipe.beyond or case.variant == "trusted":
+    if case.recipe.beyond:
         limit = 0.1
     for _ in range(4):
         pairs = []
@@ -311,7 +311,7 @@ def _record(case, rng):
     recipe, plant = case.recipe, case.plant
     scene = case.facts["scene"]
     lsb = case.sigma * rng.uniform(0.0, 0.5) * (rng.uniform() < 0.5)
-    rejected = []
+    moved = []
     for rec in case.recordings:
         n = len(rec.signal)
         noise = case.sigma * rng.standard_normal((n, len(case.measured)))
@@ -326,6 +326,7 @@ def _record(case, rng):
         rec.u, _, clean = _run(plant, case.p, case.e, rec, case.measured, recipe.hold, noise, w)
         quiet = replace(rec, signal=rec.u, loop=None)
         _, _, rec.free = _run(plant, case.p, case.e, quiet, case.measured, recipe.hold, w=rec.w)
+        moved.append((clean - rec.free) / case.sigma)
         quantum = case.e[vector.QUANTUM]
         rec.y = clean + noise
         if recipe.stranger == "output_dropout":
@@ -338,8 +339,7 @@ def _record(case, rng):
                 rec.free[:, j] = quantum * np.round(rec.free[:, j] / quantum)
         if not (np.isfinite(rec.y).all() and np.isfinite(rec.free).all()):
             raise Rejected("a recording is not finite")
-        rejected.append((clean - rec.free) / case.sigma)
-    case.facts["disturbance_ratio"] = float(np.sqrt((np.concatenate(rejected) ** 2).mean(axis=0)).max())
+    case.facts["disturbance_ratio"] = float(np.sqrt((np.concatenate(moved) ** 2).mean(axis=0)).max())
 
 
 def _dropouts(y, rng):

@@ -1,6 +1,6 @@
 """The whole proof with one command: generate, run the diagnosis, score, run and score the baselines, make the page.
 
-    python run_all.py WORK [--set calibration|score] [--n N] [--classes …] [--cells …] [--processes 2]
+    python run_all.py WORK [--set calibration|score] [--n 2 single=12] [--classes …] [--cells …] [--processes 2]
                       [--command "pwaid explain"] [--baselines …] [--page ../../../docs/proof.md]
 
 Every step resumes where it stopped. The cases are written once; the hash of their key is printed and must be committed
@@ -42,7 +42,7 @@ def generate(args):
     for option in ("n", "classes", "cells"):
         value = getattr(args, option)
         if value:
-            words += [f"--{option}", *(value if isinstance(value, list) else [value])]
+            words += [f"--{option}", *value]
     call("generate.py", *words)
     note.write_text(json.dumps(wanted), encoding="utf-8")
 
@@ -75,7 +75,7 @@ def main(argv=None):
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("work", type=Path, help="folder for cases, key, results and scores")
     parser.add_argument("--set", dest="which", choices=("calibration", "score"), default="calibration")
-    parser.add_argument("--n", type=int, help="cases per class and cell")
+    parser.add_argument("--n", nargs="+", help="cases per class and cell, or CLASS=N, as generate.py takes it")
     parser.add_argument("--classes", nargs="+")
     parser.add_argument("--cells", nargs="+")
     parser.add_argument("--processes", type=int, default=1)

@@ -45,20 +45,32 @@ def read(path):
 
 
 def simulate(system, params, u, ts, x0):
-    """Outputs of a continuous python-control system, RK4 with held input, shape (n, outputs)."""
-    out = np.full((len(u), system.noutputs), np.nan)
+    """Outputs of a continuous python-control system, RK4 with held input; several runs at a time.
+
+    Parameters
+    ----------
+    params : dict
+        Values, or arrays of shape (runs,).
+    x0 : array, shape (states, runs)
+
+    Returns
+    -------
+    array, shape (n, outputs, runs)
+        nan from where a run is no longer finite.
+    """
     x = np.array(x0, float)
+    out = np.full((len(u), system.noutputs, x.shape[1]), np.nan)
     h = ts / SUBSTEPS
-    for k, now in enumerate(u):
-        out[k] = system.output(0.0, x, now, params=params)
-        for _ in range(SUBSTEPS):
-            k1 = system.dynamics(0.0, x, now, params=params)
-            k2 = system.dynamics(0.0, x + 0.5 * h * k1, now, params=params)
-            k3 = system.dynamics(0.0, x + 0.5 * h * k2, now, params=params)
-            k4 = system.dynamics(0.0, x + h * k3, now, params=params)
-            x = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-        if not np.isfinite(x).all():
-            break
+    rate, read_out = system.updfcn, system.outfcn
+    with np.errstate(all="ignore"):
+        for k, now in enumerate(u):
+            out[k] = read_out(0.0, x, now, params)
+            for _ in range(SUBSTEPS):
+                k1 = rate(0.0, x, now, params)
+                k2 = rate(0.0, x + 0.5 * h * k1, now, params)
+                k3 = rate(0.0, x + 0.5 * h * k2, now, params)
+                k4 = rate(0.0, x + h * k3, now, params)
+                x = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
     return out
 
 
