@@ -60,7 +60,7 @@ class OutputError:
         params = system.params | {k: system.params[k] * np.exp(v)
                                   for k, v in zip(self.folder.free, theta, strict=True)}
         t, u, _ = self.folder.recordings[name]
-        return simulate(system, params, u, t[1] - t[0], x0)
+        return simulate(system, params, u, t[1] - t[0], x0, self.folder.first)
 
     def error(self, name, theta, x0):
         """Errors in units of the outputs' spread, shape (n · outputs, runs)."""
