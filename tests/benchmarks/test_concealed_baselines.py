@@ -65,7 +65,7 @@ def test_the_jacobian_is_the_slope_of_the_residual(sealed):
 
 def test_the_gaussian_process_refits_and_removes_part_of_a_held_out_error(sealed):
     folder, _, entry = sealed
-    short = {n: tuple(part[:600] for part in rec) for n, rec in folder.recordings.items()}
+    short = {n: tuple(part[:250] for part in rec) for n, rec in folder.recordings.items()}
     folder = replace(folder, recordings=short)
     report = gaussian_process.diagnose(folder, set())
     assert report["verdict"] == "unexplained"

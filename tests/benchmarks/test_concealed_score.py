@@ -122,8 +122,8 @@ def test_the_scorer_writes_tables_and_a_picture(tmp_path, capsys):
     assert result["rich/clean"]["false_name"]["rate"] == 0.0
     text = (tmp_path / "s" / "tables.md").read_text(encoding="utf-8")
     assert "| `c3` | rich, single |" in text
-    assert "| exact name first | ≥ 92% | 50% (1/2; 9%–91%) | **missed** |" in text
-    assert "| false name on clean data | ≤ 2% | 0% (0/1; 0%–79%) | met |" in text
+    assert "| exact name first | ≥ 92% | 50% (1/2; 9%–91%) | **missed** (n < 20) |" in text
+    assert "| false name on clean data | ≤ 2% | 0% (0/1; 0%–79%) | met (n < 20) |" in text
     assert (tmp_path / "s" / "confusion_rich.png").stat().st_size > 1000
 
 

@@ -38,7 +38,8 @@ def section(scores, rows, pictures):
     own = scores[MAIN]
     cases = sum(s["n"] for label, s in own.items() if not label.startswith("hard:"))
     failed = sum(s["failed_runs"] for label, s in own.items() if not label.startswith("hard:"))
-    parts = [f"{cases} cases, {failed} failed runs. In brackets: count and 95 % Wilson interval.",
+    parts = [f"{cases} cases, {failed} failed runs. In brackets: count and 95 % Wilson interval; "
+             "“met” compares the measured rate with the target, the interval says how sure that is.",
              "### Targets and measured rates", tables.headline(own),
              "### Effects that something hides",
              "The right answer is the name or no name; only a wrong name is a failure.", tables.second_kind(own),

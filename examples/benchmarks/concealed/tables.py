@@ -7,6 +7,7 @@ from concealed.summary import ROWS, met
 
 CONDITIONS = ("hard:closed_loop", "hard:sine", "hard:disturbance")
 NO_CASES = "–"
+ENOUGH = 20  # cases that issue 6 asks for in a headline cell
 
 
 def headline(summaries):
@@ -18,6 +19,8 @@ def headline(summaries):
         for cell, bound in zip(CELLS, bounds, strict=True):
             value = _value(summaries, cell, name, measure)
             word = "" if value is None else "met" if met(kind, bound, value) else "**missed**"
+            if value is not None and summaries[f"{cell}/{name}"]["n"] < ENOUGH:
+                word += f" (n < {ENOUGH})"
             cells += [_bound(kind, bound), _shown(summaries, cell, name, measure), word]
         cells += [_shown(summaries, c, name, measure) for c in CONDITIONS]
         lines.append("| " + " | ".join(cells) + " |")
