@@ -164,6 +164,14 @@ def test_a_composition_may_differ_by_class():
         generate.counted("nothing=3")
 
 
+def test_a_closed_loop_has_a_held_command_and_no_repeats():
+    order = np.random.default_rng(0).permutation(len(IDS))
+    for attempt in range(60):
+        rng = np.random.default_rng([1, attempt])
+        recipe = classes._recipe("concealed_controller", "rich", attempt, attempt, 1.0, rng, order)
+        assert (recipe.excitation, recipe.hold, recipe.repeats) == ("closed_loop", "zero", False)
+
+
 def test_quantisation_is_an_effect_and_no_disturbance():
     made = classes.generate("single", "rich", 37, generate.seed_of("calibration", "rich", "single", 37))
     assert made.drawn[0].id == "sensor_quantization"

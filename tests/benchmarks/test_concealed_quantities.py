@@ -222,3 +222,8 @@ def test_a_load_is_compared_in_the_unit_in_which_it_is_reported():
     for value, unit in ((70.0, "N"), (2.0, "V")):
         got = {"effects": [{"id": "constant_load", "parameters": {"level": {"value": value, "unit": unit}}}]}
         assert compare(truth, entry, got).errors["constant_load.level"] == pytest.approx(0.0)
+    truth = {"id": "load_dependent_friction", "equivalents": [],
+             "parameters": {"factor": {"value": 0.2, "unit": "-", "also": [{"value": 7.0, "unit": "N/V"}]}}}
+    for value, unit in ((0.2, "1"), (7.0, "N/V")):
+        got = {"effects": [{"id": truth["id"], "parameters": {"load_factor": {"value": value, "unit": unit}}}]}
+        assert compare(truth, entry, got).errors["load_dependent_friction.load_factor"] == pytest.approx(0.0)

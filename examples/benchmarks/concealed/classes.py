@@ -90,7 +90,10 @@ def _recipe(name, cell, index, attempt, size, rng, order):
     recipe = replace(recipe, measured=_measured(PLANTS[plant], wanted, condition, rng, name, effects))
     if cell == "hard":
         recipe = _harder(recipe, condition, rng)
-    return _special(name, index, recipe, rng)
+    recipe = _special(name, index, recipe, rng)
+    if recipe.excitation == "closed_loop":  # a controller holds its command, and never gives the same one twice
+        recipe = replace(recipe, hold="zero", repeats=False)
+    return recipe
 
 
 def _effects(name, index, size, rng, order):

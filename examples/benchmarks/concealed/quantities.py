@@ -58,7 +58,7 @@ def compare(truth, entry, report):
         if value is None or value.get("value") is None:
             out.unmatched.append(label)
             continue
-        want = _in_unit(truth, name, want, value)
+        want = _in_unit(truth, want, value)
         if name == "phase":
             off = (value["value"] - want + math.pi) % (2.0 * math.pi) - math.pi
             out.errors[label] = abs(off) / math.pi
@@ -78,12 +78,12 @@ def primary(errors):
     return [v for label, v in errors.items() if label.split(".")[1] not in MINOR]
 
 
-def _in_unit(truth, name, want, value):
-    """The true value in the unit of the report, when the key offers it in that unit; else as it stands."""
-    source = truth["parameters"].get(name) or truth["parameters"].get("level", {})
-    for option in source.get("also", []):
-        if value.get("unit") == option["unit"] and option["unit"] != source["unit"]:
-            return want * option["value"] / source["value"]
+def _in_unit(truth, want, value):
+    """The true value in the unit of the report, when the key offers its numbers in that unit; else as it stands."""
+    for source in truth["parameters"].values():
+        for option in source.get("also", []):
+            if value.get("unit") == option["unit"] and option["unit"] != source["unit"]:
+                return want * option["value"] / source["value"]
     return want
 
 
