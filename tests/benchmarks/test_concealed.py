@@ -16,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples" / "bench
 
 from concealed import case as building
 from concealed import classes, generate, vector, write
-from concealed.effects import FAMILY, IDS
+from concealed.catalogue import FAMILY, IDS
 from concealed.integrate import simulate
 from concealed.plants import PLANTS
 

@@ -12,7 +12,9 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples" / "benchmarks"))
 
 from concealed import vector
-from concealed.effects import FAMILY, IDS, Scene, draw
+from concealed.catalogue import FAMILY, IDS
+from concealed.drawn import Scene
+from concealed.effects import draw
 from concealed.integrate import N_STATES, rates
 from concealed.plants import PLANTS
 from concealed.quantities import _DERIVED, compare, expected

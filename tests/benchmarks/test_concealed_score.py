@@ -14,7 +14,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples" / "bench
 
 from concealed import report_page, run, run_all, score, seal
 from concealed.baselines import bic
-from concealed.effects import FAMILY
+from concealed.catalogue import FAMILY
 from concealed.judge import judge
 from concealed.wilson import wilson
 

@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from concealed.case import STRANGERS, Recipe, Rejected, build, measure
-from concealed.effects import CONTAINED_IN, FAMILY, IDS, THRESHOLDS
+from concealed.case import STRANGERS, Recipe, Rejected, build
+from concealed.catalogue import CONTAINED_IN, FAMILY, IDS, THRESHOLDS
 from concealed.plants import PLANTS
+from concealed.visibility import measure
 
 CELLS = ("rich", "hard")
 HEADLINE = ("single", "pair", "clean", "parameters", "initial_state", "unexcited", "out_of_catalogue",

@@ -18,8 +18,8 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from concealed import seal
+from concealed.catalogue import IDS
 from concealed.classes import CELLS, CLASSES, CONCEALED, generate, left_out_ids
-from concealed.effects import IDS
 from concealed.write import key_entry, truth_bytes, write_case
 
 SEEDS = {"calibration": 0, "score": 10000}

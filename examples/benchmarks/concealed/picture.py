@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from concealed.effects import IDS
+from concealed.catalogue import IDS
 
 SILENT = ("agreement", "parameters_only", "unexplained", "failed")
 

@@ -44,7 +44,7 @@ def section(scores, rows, pictures):
              "### Effects that something hides",
              "The right answer is the name or no name; only a wrong name is a failure.", tables.second_kind(own),
              "### Baselines on the same cases",
-             tables.comparison({TITLES[n]: s for n, s in scores.items()}),
+             tables.comparison({TITLES[n]: s for n, s in scores.items()}, (TITLES["gaussian_process"],)),
              "### Which name for which effect", *pictures,
              "### Every measure per cell and class", tables.by_class(own),
              "### Failures one by one", f"{len(rows)} of {cases} cases. The size is what the effect leaves after the "

@@ -16,8 +16,8 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from concealed import picture, seal, tables
+from concealed.catalogue import FAMILY
 from concealed.classes import CELLS
-from concealed.effects import FAMILY
 from concealed.judge import judge
 from concealed.summary import failures, grouped
 from concealed.write import digest

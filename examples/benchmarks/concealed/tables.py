@@ -59,13 +59,16 @@ def second_kind(summaries):
     return "\n".join(lines)
 
 
-def comparison(scores):
-    """The rows of issue 6 for several tools side by side; `scores` is {name: summaries}."""
+def comparison(scores, nameless=()):
+    """The rows of issue 6 for several tools side by side; `scores` is {name: summaries}.
+
+    Tools in `nameless` never name anything: their rates would say nothing, only the error they remove is shown.
+    """
     lines = ["| | cell | " + " | ".join(scores) + " |", "|" + "---|" * (2 + len(scores))]
     for row, name, measure, *_ in ROWS:
         for cell in CELLS:
-            lines.append(f"| {row} | {cell} | "
-                         + " | ".join(_shown(s, cell, name, measure) for s in scores.values()) + " |")
+            shown = [NO_CASES if tool in nameless else _shown(s, cell, name, measure) for tool, s in scores.items()]
+            lines.append(f"| {row} | {cell} | " + " | ".join(shown) + " |")
     for cell in CELLS:
         shown = [_shown(s, cell, "single", "removed_any_median") for s in scores.values()]
         lines.append(f"| explainable held-out error removed, named or not (median) | {cell} | "
