@@ -50,7 +50,7 @@ def generate(args):
 def diagnose(args):
     """The diagnosis and the baselines, each into its own folder of results."""
     cases, results = args.work / "cases", args.work / "results"
-    rest = ("--processes", args.processes)
+    rest = ("--processes", args.processes, "--timeout", args.timeout)
     call("run.py", cases, "-o", results / "pwaid", "--command", args.command, *rest)
     for name in args.baselines:
         if name == "bic":
@@ -79,6 +79,7 @@ def main(argv=None):
     parser.add_argument("--classes", nargs="+")
     parser.add_argument("--cells", nargs="+")
     parser.add_argument("--processes", type=int, default=1)
+    parser.add_argument("--timeout", type=float, default=1800.0, help="seconds for one case")
     parser.add_argument("--command", default="pwaid explain")
     parser.add_argument("--baselines", nargs="*", choices=BASELINES, default=list(BASELINES))
     parser.add_argument("--seal", type=Path, help="committed copy of the key's hash; required for the score set")
