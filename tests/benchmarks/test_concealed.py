@@ -3,6 +3,7 @@ blindness."""
 
 from __future__ import annotations
 
+import argparse
 import importlib.util
 import re
 import sys
@@ -15,7 +16,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples" / "bench
 
 from concealed import case as building
 from concealed import classes, generate, vector, write
-from concealed.effects import FAMILY, IDS
+from concealed.catalogue import FAMILY, IDS
 from concealed.integrate import simulate
 from concealed.plants import PLANTS
 
@@ -146,12 +147,44 @@ def test_a_runaway_simulation_is_rejected():
 
 def test_calibration_and_score_seeds_never_meet():
     for which, low, high in (("calibration", 0, 10000), ("score", 10000, 20000)):
-        seeds = [j[3] for j in generate.jobs(which, classes.CELLS, classes.CLASSES, 300)]
+        seeds = [j[3] for j in generate.jobs(which, classes.CELLS, classes.CLASSES, {"": 300})]
         assert len(set(seeds)) == len(seeds)
         assert min(seeds) >= low
         assert max(seeds) < high
     with pytest.raises(ValueError, match="at most"):
         generate.seed_of("score", "rich", "single", 5000)
+
+
+def test_a_composition_may_differ_by_class():
+    n = dict(generate.counted(t) for t in ("2", "single=5"))
+    made = generate.jobs("calibration", classes.CELLS, ("single", "clean", "concealed_noise"), n)
+    counts = {name: sum(j[0] == name for j in made) for name in ("single", "clean", "concealed_noise")}
+    assert counts == {"single": 10, "clean": 4, "concealed_noise": 2}
+    with pytest.raises(argparse.ArgumentTypeError, match="CLASS=N"):
+        generate.counted("nothing=3")
+
+
+def test_a_closed_loop_has_a_held_command_and_no_repeats():
+    order = np.random.default_rng(0).permutation(len(IDS))
+    for attempt in range(60):
+        rng = np.random.default_rng([1, attempt])
+        recipe = classes._recipe("concealed_controller", "rich", attempt, attempt, 1.0, rng, order)
+        assert (recipe.excitation, recipe.hold, recipe.repeats) == ("closed_loop", "zero", False)
+
+
+def test_quantisation_is_an_effect_and_no_disturbance():
+    made = classes.generate("single", "rich", 37, generate.seed_of("calibration", "rich", "single", 37))
+    assert made.drawn[0].id == "sensor_quantization"
+    assert made.facts["disturbance_ratio"] == 0.0
+
+
+def test_a_drifting_parameter_drifts_alike_in_recordings_of_any_length():
+    recipe = building.Recipe("rl_circuit", "multisine", 0.02, effects=(("parameter_drift", 1.0),))
+    made = building.build(recipe, np.random.default_rng(0))
+    rate = made.drawn[0].parameters["rate"][0]
+    assert len({len(r.u) for r in made.recordings}) == 2
+    for rec in made.recordings:
+        np.testing.assert_allclose(rec.drift[1], 1.0 + rate * made.plant.ts * np.arange(len(rec.u)))
 
 
 def test_the_generator_never_imports_the_package():

@@ -12,8 +12,9 @@ import pytest
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples" / "benchmarks"))
 
-from concealed import run, score, seal
-from concealed.effects import FAMILY
+from concealed import report_page, run, run_all, score, seal
+from concealed.baselines import bic
+from concealed.catalogue import FAMILY
 from concealed.judge import judge
 from concealed.wilson import wilson
 
@@ -119,7 +120,10 @@ def test_the_scorer_writes_tables_and_a_picture(tmp_path, capsys):
     assert result["rich/single"]["exact_first"]["rate"] == 0.5
     assert result["rich/single"]["refused"]["hits"] == 1
     assert result["rich/clean"]["false_name"]["rate"] == 0.0
-    assert "`c3`" in (tmp_path / "s" / "failures.md").read_text(encoding="utf-8")
+    text = (tmp_path / "s" / "tables.md").read_text(encoding="utf-8")
+    assert "| `c3` | rich, single |" in text
+    assert "| exact name first | ≥ 92% | 50% (1/2; 9%–91%) | **missed** (n < 20) |" in text
+    assert "| false name on clean data | ≤ 2% | 0% (0/1; 0%–79%) | met (n < 20) |" in text
     assert (tmp_path / "s" / "confusion_rich.png").stat().st_size > 1000
 
 
@@ -138,3 +142,73 @@ def test_the_driver_resumes_and_passes_what_is_left_out(tmp_path, capsys):
     assert "end_stop" in (results / "b" / "report.json").read_text(encoding="utf-8")
     run.main(call)
     assert '"ran": 0' in capsys.readouterr().out.strip().splitlines()[-1]
+
+
+def candidates(*rows):
+    return {"candidates": [{"id": i, "bic": b, "values": v} for i, b, v in rows], "bic_null": 100.0, "effects": [],
+            "hypotheses_tried": 3, "seconds": 2.0}
+
+
+def test_bic_alone_names_the_lowest_whatever_it_is_unless_the_null_is_lower(tmp_path, capsys):
+    found = bic.diagnose(candidates(("end_stop", 90.0, {"position": 1.0}), ("quadratic_drag", 95.0, {})))
+    assert found["verdict"] == "named"
+    assert found["effects"] == [{"id": "end_stop", "parameters": {"position": {"value": 1.0}}}]
+    pair = ("coulomb_friction + end_stop", 80.0, {"coulomb_friction.level": 2.0, "end_stop.position": 1.0})
+    found = bic.diagnose(candidates(pair))
+    assert [e["id"] for e in found["effects"]] == ["coulomb_friction", "end_stop"]
+    assert found["effects"][0]["parameters"] == {"level": {"value": 2.0}}
+    assert bic.diagnose(candidates(("end_stop", 101.0, {})))["verdict"] == "parameters_only"
+    assert bic.diagnose(candidates(("end_stop", None, {})))["verdict"] == "parameters_only"
+    old = {"candidates": [{"id": "end_stop"}], "hypotheses_tried": 1, "seconds": 1.0}
+    (tmp_path / "results" / "c1").mkdir(parents=True)
+    (tmp_path / "results" / "c1" / "report.json").write_text(json.dumps(old), encoding="utf-8")
+    assert bic.main([str(tmp_path / "results"), "-o", str(tmp_path / "out")]) == 2
+    assert "run the diagnosis again" in capsys.readouterr().err
+
+
+def scored(tmp_path, answers, cases, name="pwaid"):
+    key_folder, results, sealed = written(tmp_path, cases)
+    for case, answer in answers.items():
+        (results / case).mkdir()
+        (results / case / "report.json").write_text(json.dumps(answer), encoding="utf-8")
+    reasons = tmp_path / "reasons.json"
+    reasons.write_text(json.dumps({"c2": "the stop was never pressed hard"}), encoding="utf-8")
+    assert score.main(["--key", str(key_folder), "--seal", str(sealed), "--results", str(results), "--reasons",
+                       str(reasons), "--save", str(tmp_path / "scores" / name)]) == 0
+
+
+def test_the_page_is_remade_between_its_markers_and_keeps_the_rest(tmp_path):
+    hidden = entry("concealed_noise", "quadratic_drag")
+    cases = {"c1": entry("single", "coulomb_friction"), "c2": entry("single", "end_stop", cell="hard"), "c3": hidden}
+    scored(tmp_path, {"c1": report("named", "coulomb_friction"), "c2": report("unexplained"),
+                      "c3": report("agreement")}, cases)
+    page = tmp_path / "proof.md"
+    page.write_text(f"before\n{report_page.BEGIN}\nold\n{report_page.END}\nafter\n", encoding="utf-8")
+    call = [str(tmp_path / "scores"), "--page", str(page)]
+    assert report_page.main(call) == 0
+    text = page.read_text(encoding="utf-8")
+    assert report_page.main(call) == 0
+    assert page.read_text(encoding="utf-8") == text
+    assert text.startswith("before\n")
+    assert text.endswith("after\n")
+    assert "old" not in text.split(report_page.END)[0].split(report_page.BEGIN)[1].splitlines()
+    assert "the stop was never pressed hard" in text
+    assert "| noise | 1 | 0% (0/1; 0%–79%) | 0% (0/1; 0%–79%) | 100% (1/1; 21%–100%) |" in text
+    assert "](img/proof_confusion_hard.png)" in text
+    assert (tmp_path / "img" / "proof_confusion_rich.png").exists()
+    page.write_text("no markers", encoding="utf-8")
+    assert report_page.main(call) == 2
+
+
+def test_one_command_stops_before_a_score_set_is_sealed_and_refuses_another_composition(tmp_path, monkeypatch, capsys):
+    calls = []
+    monkeypatch.setattr(run_all, "call", lambda script, *words: calls.append(script))
+    assert run_all.main([str(tmp_path), "--set", "score", "--n", "1"]) == 0
+    assert calls == ["generate.py"]
+    assert "--seal" in capsys.readouterr().out
+    with pytest.raises(SystemExit, match="choose another folder"):
+        run_all.main([str(tmp_path), "--set", "score", "--n", "2"])
+    (tmp_path / "scores" / "pwaid").mkdir(parents=True)
+    (tmp_path / "scores" / "pwaid" / "score.json").write_text("{}", encoding="utf-8")
+    run_all.main([str(tmp_path), "--set", "score", "--n", "1", "--seal", "x", "--baselines", "bic", "majority"])
+    assert calls[1:] == ["run.py", "baselines/bic.py", "run.py", "score.py", "score.py", "score.py"]

@@ -1,5 +1,4 @@
-"""Build one sealed case from a recipe: plant, recordings, effects, noise, nominal side, and how visible it
-all is."""
+"""Build one sealed case from a recipe: plant, recordings, effects, noise, nominal side."""
 
 from __future__ import annotations
 
@@ -8,7 +7,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from concealed import clutter, excitation, vector
-from concealed.effects import Drawn, Scene, draw
+from concealed.drawn import Scene
+from concealed.effects import draw
 from concealed.integrate import simulate
 from concealed.plants import PLANTS
 from concealed.refit import refit
@@ -99,6 +99,7 @@ def build(recipe, rng):
     """Draw numbers for `recipe`; raise `Rejected` when a simulation leaves its range."""
     plant = PLANTS[recipe.plant]
     p = np.array([q.typical * np.exp(rng.uniform(-0.3, 0.3)) if q.typical else 0.0 for q in plant.params])
+    p[[q.name == "gain" and q.unit == "-" for q in plant.params]] = 1.0  # a force has one size, wherever it enters
     if plant.name == "two_link_arm":
         p[1] = min(p[1], 0.7 * p[2])
     measured = plant.measured[recipe.measured or str(rng.choice(list(plant.measured)))]
@@ -209,9 +210,9 @@ def _true_side(p, base, drawn, plant):
 def _drifts(drawn, plant, recordings):
     for d in drawn:
         if d.drift:
-            name, change = d.drift  # over the first recording; the rate in time is the same in all
+            name, rate = d.drift
             for rec in recordings:
-                rec.drift = (plant.index(name), 1.0 + change * np.arange(len(rec.signal)) / len(recordings[0].signal))
+                rec.drift = (plant.index(name), 1.0 + rate * plant.ts * np.arange(len(rec.signal)))
 
 
 def _strangers(recipe, plant, scene, e, recordings, rng):
@@ -285,7 +286,7 @@ def _add_clutter(case, scene, base, rng):
     taken = {n for d in case.drawn for n in d.slots}
     slots = clutter.draw(scene, rng, 0.05 if loud else 0.02, taken)
     limit = LOUD_CLUTTER if loud else QUIET_CLUTTER
-    if case.recipe.beyond or case.variant == "trusted":
+    if case.recipe.beyond:
         limit = 0.1
     for _ in range(4):
         pairs = []
@@ -310,7 +311,7 @@ def _record(case, rng):
     recipe, plant = case.recipe, case.plant
     scene = case.facts["scene"]
     lsb = case.sigma * rng.uniform(0.0, 0.5) * (rng.uniform() < 0.5)
-    rejected = []
+    moved = []
     for rec in case.recordings:
         n = len(rec.signal)
         noise = case.sigma * rng.standard_normal((n, len(case.measured)))
@@ -325,6 +326,7 @@ def _record(case, rng):
         rec.u, _, clean = _run(plant, case.p, case.e, rec, case.measured, recipe.hold, noise, w)
         quiet = replace(rec, signal=rec.u, loop=None)
         _, _, rec.free = _run(plant, case.p, case.e, quiet, case.measured, recipe.hold, w=rec.w)
+        moved.append((clean - rec.free) / case.sigma)
         quantum = case.e[vector.QUANTUM]
         rec.y = clean + noise
         if recipe.stranger == "output_dropout":
@@ -337,8 +339,7 @@ def _record(case, rng):
                 rec.free[:, j] = quantum * np.round(rec.free[:, j] / quantum)
         if not (np.isfinite(rec.y).all() and np.isfinite(rec.free).all()):
             raise Rejected("a recording is not finite")
-        rejected.append((clean - rec.free) / case.sigma)
-    case.facts["disturbance_ratio"] = float(np.sqrt((np.concatenate(rejected) ** 2).mean(axis=0)).max())
+    case.facts["disturbance_ratio"] = float(np.sqrt((np.concatenate(moved) ** 2).mean(axis=0)).max())
 
 
 def _dropouts(y, rng):
@@ -348,62 +349,3 @@ def _dropouts(y, rng):
         at = int(rng.integers(1, len(y) - wide))
         y[at:at + wide] = y[at - 1]
     return y
-
-
-def recorded_pairs(case, role, noisy=False):
-    """`(u, y, x0)` of the recordings of one role for a refit; noise-free outputs unless `noisy`."""
-    return [(r.u, r.y if noisy else r.free, r.x0) for r in case.recordings if r.role == role]
-
-
-def nominal_with(case, known):
-    """Nominal side with the effects in `known` (tuple of `Drawn`) put in at their true values."""
-    p, e = case.nominal.copy(), case.e_nominal.copy()
-    for d in known:
-        e = vector.with_values(e, d.slots)
-        for name, value in d.p.items():
-            p[case.plant.index(name)] = value
-        for name in d.nominal_switches:
-            e[vector.INDEX[name]] = case.e[vector.INDEX[name]]
-    e[vector.FRICTION_SIDE] = case.e[vector.FRICTION_SIDE]
-    return p, e
-
-
-CONTAINS_COULOMB = ("asymmetric_coulomb_friction", "stribeck_friction", "presliding_friction",
-                    "load_dependent_friction")
-
-
-def _sliding_level(case, drawn):
-    """Level at which plain Coulomb friction starts when it has to imitate a richer dry friction."""
-    s = drawn.slots
-    if "load_factor" in s:
-        return 0.8 * s["load_factor"] * case.facts["scene"].force
-    if "dahl_level" in s:
-        return s["dahl_level"]
-    return 0.5 * (s["level_positive"] + s["level_negative"])
-
-
-def measure(case):
-    """Fill the margins: what each effect leaves after the best refit of everything else, in units of the
-    noise."""
-    hold = case.recipe.hold
-    train, test = recorded_pairs(case, "train"), recorded_pairs(case, "test")
-    targets = case.drawn or (None,)
-    for d in targets:
-        known = tuple(o for o in case.drawn if o is not d)
-        p, e = nominal_with(case, known)
-        fit = refit(case.plant, p, e, case.free, train, case.sigma, case.measured, hold=hold)
-        held = refit(case.plant, fit.p, e, case.free, test, case.sigma, case.measured, hold=hold, move=False)
-        name = d.id if isinstance(d, Drawn) else "everything"
-        case.margins[name] = fit.ratio()
-        if name in CONTAINS_COULOMB:
-            start = dict.fromkeys(("level_positive", "level_negative"), _sliding_level(case, d))
-            rival = vector.with_values(e, start)
-            case.nested[name] = refit(case.plant, p, rival, case.free, train, case.sigma, case.measured,
-                                      hold=hold,
-                                      slots=(vector.LEVEL_POSITIVE, vector.LEVEL_NEGATIVE)).ratio()
-        case.heldout_margins[name] = held.ratio()
-    still = refit(case.plant, case.nominal, case.e_nominal, case.free, train, case.sigma, case.measured,
-                  hold=hold,
-                  move=False)
-    case.facts["nominal_ratio"] = still.ratio()
-    return case

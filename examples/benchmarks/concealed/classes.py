@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 
-from concealed.case import STRANGERS, Recipe, Rejected, build, measure
-from concealed.effects import CONTAINED_IN, FAMILY, IDS, THRESHOLDS
+from concealed.case import STRANGERS, Recipe, Rejected, build
+from concealed.catalogue import CONTAINED_IN, FAMILY, IDS, THRESHOLDS
 from concealed.plants import PLANTS
+from concealed.visibility import measure
 
 CELLS = ("rich", "hard")
 HEADLINE = ("single", "pair", "clean", "parameters", "initial_state", "unexcited", "out_of_catalogue",
@@ -90,7 +91,10 @@ def _recipe(name, cell, index, attempt, size, rng, order):
     recipe = replace(recipe, measured=_measured(PLANTS[plant], wanted, condition, rng, name, effects))
     if cell == "hard":
         recipe = _harder(recipe, condition, rng)
-    return _special(name, index, recipe, rng)
+    recipe = _special(name, index, recipe, rng)
+    if recipe.excitation == "closed_loop":  # a controller holds its command, and never gives the same one twice
+        recipe = replace(recipe, hold="zero", repeats=False)
+    return recipe
 
 
 def _effects(name, index, size, rng, order):

@@ -9,87 +9,8 @@ effect.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
 
-import numpy as np
-
-FAMILIES = {
-    "dry_friction": ("coulomb_friction", "asymmetric_coulomb_friction", "stribeck_friction",
-                     "presliding_friction",
-                     "load_dependent_friction"),
-    "smooth_damping": ("viscous_friction", "asymmetric_viscous_friction", "quadratic_drag"),
-    "position": ("linear_stiffness", "cubic_stiffness", "quadratic_stiffness", "gravity_torque",
-                 "position_ripple",
-                 "end_stop"),
-    "hysteresis": ("hysteretic_spring",),
-    "transmission": ("backlash", "compliance"),
-    "inertial": ("missing_inertia", "coriolis_torque"),
-    "actuator": ("actuator_saturation", "actuator_rate_limit", "actuator_deadzone", "input_play",
-                 "actuator_gain_asymmetry", "constant_load", "actuator_lag", "input_delay"),
-    "sensor": ("sensor_saturation", "sensor_rectification", "sensor_quantization", "sensor_offset",
-               "sensor_lag",
-               "sensor_nonlinearity"),
-    "fluid": ("square_root_outflow", "head_offset", "leakage", "overflow"),
-    "thermal": ("radiation", "second_thermal_mass"),
-    "time": ("periodic_disturbance", "sensor_drift", "parameter_drift"),
-}
-FAMILY = {effect: family for family, members in FAMILIES.items() for effect in members}
-IDS = tuple(FAMILY)
-
-# Laws that contain another one as a special case: taken out together in leave-one-effect-out runs.
-CONTAINED_IN = {
-    "coulomb_friction": ("asymmetric_coulomb_friction", "stribeck_friction", "presliding_friction",
-                         "load_dependent_friction"),
-    "viscous_friction": ("asymmetric_viscous_friction",),
-    "linear_stiffness": ("hysteretic_spring",),
-}
-
-THRESHOLDS = ("actuator_saturation", "actuator_rate_limit", "end_stop", "sensor_saturation", "overflow")
-
-
-@dataclass(frozen=True)
-class Scene:
-    """Sizes in a run without the effect: rms force, rms and peak of motion and input, output statistics."""
-
-    plant: object
-    p: np.ndarray
-    force: float
-    q_rms: float
-    q_max: float
-    v_rms: float
-    u_rms: float
-    u_mean: float
-    u_max: float
-    slope: float
-    y_std: np.ndarray
-    y_mean: np.ndarray
-    y_max: np.ndarray
-    x_max: np.ndarray
-    x_mean: np.ndarray
-    seconds: float
-    measured: tuple
-
-
-@dataclass(frozen=True)
-class Drawn:
-    """One effect with numbers: slots of the effect vector, the key's parameters, and changes to the nominal
-    side."""
-
-    id: str
-    slots: dict
-    parameters: dict
-    where: dict
-    variant: str = ""
-    trusted: tuple = ()
-    p: dict = field(default_factory=dict)
-    nominal_p: dict = field(default_factory=dict)
-    nominal_switches: dict = field(default_factory=dict)
-    drift: tuple = ()
-
-    @property
-    def family(self):
-        """Family of the design's effect table."""
-        return FAMILY[self.id]
+from concealed.drawn import Drawn
 
 
 def draw(effect, scene, rng, size=1.0, beyond=None):
@@ -438,9 +359,9 @@ def _parameter_drift(effect, s, rng, size, beyond):
               "single_tank": "c", "cascaded_tanks": "c2", "thermal_plant": "G", "dc_motor": "R",
               "rl_circuit": "R", "hydraulic_cylinder": "b"}
     name = choice.get(s.plant.name, "b")
-    change = _share(rng, 0.35, 0.7, size, 3.0)
-    return Drawn(effect, {}, {"relative_change": (change, "-")},
-                 {"kind": "parameter", "signal": name, "variables": ["t"]}, drift=(name, change))
+    rate = _share(rng, 0.35, 0.7, size, 3.0) / s.seconds
+    return Drawn(effect, {}, {"rate": (rate, "1/s")}, {"kind": "parameter", "signal": name, "variables": ["t"]},
+                 drift=(name, rate))
 
 
 _DRAWS = {

@@ -1,6 +1,6 @@
 """Write a set of sealed cases: folders for the tool, a key for the scorer, and the key's hash.
 
-    python generate.py --set calibration --out DIR [--cells rich hard] [--classes single pair …] [--n N]
+    python generate.py --set calibration --out DIR [--cells rich hard] [--classes single pair …] [--n 2 single=12 …]
     [--key DIR]
 
 The set is deterministic: a case depends on its set, cell, class and index alone. Case names say nothing.
@@ -18,8 +18,8 @@ from pathlib import Path
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
 from concealed import seal
+from concealed.catalogue import IDS
 from concealed.classes import CELLS, CLASSES, CONCEALED, generate, left_out_ids
-from concealed.effects import IDS
 from concealed.write import key_entry, truth_bytes, write_case
 
 SEEDS = {"calibration": 0, "score": 10000}
@@ -39,11 +39,22 @@ def case_name(seed):
     return "case_" + hashlib.sha256(f"concealed {seed}".encode()).hexdigest()[:10]
 
 
+def counted(text):
+    """`12` or `single=12` as (class or "", count)."""
+    name, _, count = text.rpartition("=")
+    if (name and name not in CLASSES) or not count.isdigit():
+        raise argparse.ArgumentTypeError(f"{text!r}: expected N or CLASS=N with CLASS one of {', '.join(CLASSES)}")
+    return name, int(count)
+
+
 def jobs(which, cells, classes, n):
-    """All (class, cell, index, seed) of a set; the second kind of concealment has one cell of its own."""
+    """All (class, cell, index, seed) of a set; the second kind of concealment has one cell of its own.
+
+    `n` maps a class, or "" for all, to its number of cases per cell; what it leaves out has the default number.
+    """
     out = []
     for name in classes:
-        count = n or DEFAULT_N.get(name, 20)
+        count = n.get(name, n.get("")) or DEFAULT_N.get(name, 20)
         for cell in ("rich",) if name in CONCEALED else cells:
             out += [(name, cell, i, seed_of(which, cell, name, i)) for i in range(count)]
     return sorted(out, key=lambda job: case_name(job[3]))
@@ -57,7 +68,7 @@ def main(argv=None):
     parser.add_argument("--key", type=Path, help="folder for the key, default OUT-key")
     parser.add_argument("--cells", nargs="+", choices=CELLS, default=list(CELLS))
     parser.add_argument("--classes", nargs="+", choices=CLASSES, default=list(CLASSES))
-    parser.add_argument("--n", type=int,
+    parser.add_argument("--n", nargs="+", type=counted, default=[], metavar="N or CLASS=N",
                         help="cases per class and cell, default every id for single, else 20 to 40")
     args = parser.parse_args(argv)
     key_folder = args.key or args.out.with_name(args.out.name + "-key")
@@ -68,7 +79,7 @@ def main(argv=None):
     (key_folder / "truth").mkdir()
     start = time.time()
     entries, runs, missing = {}, {}, []
-    todo = jobs(args.which, args.cells, args.classes, args.n)
+    todo = jobs(args.which, args.cells, args.classes, dict(args.n))
     for count, (name, cell, index, seed) in enumerate(todo):
         label = case_name(seed)
         try:

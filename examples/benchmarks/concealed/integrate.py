@@ -79,14 +79,22 @@ def transmitted_force(kind, x, u, p, e):
 @njit
 def rk4(kind, x, u, p, e, w, mode, h, k, out):
     """One step of the classical Runge–Kutta method; `k` is work space (5, n)."""
-    rates(kind, x, u, p, e, w, mode, k[0])
-    k[4, :] = x + 0.5 * h * k[0]
-    rates(kind, k[4], u, p, e, w, mode, k[1])
-    k[4, :] = x + 0.5 * h * k[1]
-    rates(kind, k[4], u, p, e, w, mode, k[2])
-    k[4, :] = x + h * k[2]
-    rates(kind, k[4], u, p, e, w, mode, k[3])
-    out[:] = x + h / 6.0 * (k[0] + 2.0 * k[1] + 2.0 * k[2] + k[3])
+    n = len(x)
+    one, two, three, four, middle = k[0], k[1], k[2], k[3], k[4]
+    half = 0.5 * h
+    rates(kind, x, u, p, e, w, mode, one)
+    for i in range(n):
+        middle[i] = x[i] + half * one[i]
+    rates(kind, middle, u, p, e, w, mode, two)
+    for i in range(n):
+        middle[i] = x[i] + half * two[i]
+    rates(kind, middle, u, p, e, w, mode, three)
+    for i in range(n):
+        middle[i] = x[i] + h * three[i]
+    rates(kind, middle, u, p, e, w, mode, four)
+    sixth = h / 6.0
+    for i in range(n):
+        out[i] = x[i] + sixth * (one[i] + 2.0 * two[i] + 2.0 * three[i] + four[i])
 
 
 @njit

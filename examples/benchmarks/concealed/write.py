@@ -94,13 +94,17 @@ def key_entry(case, name, cell, seed):
 
 
 def _number(case, drawn, value, unit):
-    """A true value with its unit; loads also in the unit of the input, where an offset can equally be
-    reported."""
+    """A true value with its unit; what acts at the input also in the unit of the input."""
     out = {"value": float(value), "unit": unit}
+    force, command = case.plant.force_unit, case.plant.inputs[0][1]
     names = [q.name for q in case.plant.params]
-    if drawn.id in ("constant_load",
-                    "periodic_disturbance") and unit == case.plant.force_unit and "gain" in names:
-        out["also"] = [{"value": float(value / case.p[names.index("gain")]), "unit": case.plant.inputs[0][1]}]
+    if "gain" not in names or force == command:
+        return out
+    gain = case.p[names.index("gain")]
+    if drawn.id in ("constant_load", "periodic_disturbance") and unit == force:
+        out["also"] = [{"value": float(value / gain), "unit": command}]
+    if drawn.id == "load_dependent_friction":
+        out["also"] = [{"value": float(value * gain), "unit": f"{force}/{command}"}]
     return out
 
 

@@ -27,6 +27,7 @@ class Folder:
     inputs: dict
     outputs: dict
     free: tuple
+    first: bool
 
 
 def read(path):
@@ -41,24 +42,40 @@ def read(path):
         table = np.loadtxt(path / name, delimiter=",", skiprows=1, ndmin=2)
         recordings[name] = (table[:, 0], table[:, 1:1 + nu], table[:, 1 + nu:])
     return Folder(module.build(), recordings, tuple(spec["train"]), tuple(spec["test"]), spec["inputs"],
-                  spec["outputs"], tuple(spec["free_parameters"]))
+                  spec["outputs"], tuple(spec["free_parameters"]), spec.get("hold") == "first")
 
 
-def simulate(system, params, u, ts, x0):
-    """Outputs of a continuous python-control system, RK4 with held input, shape (n, outputs)."""
-    out = np.full((len(u), system.noutputs), np.nan)
+def simulate(system, params, u, ts, x0, first=False):
+    """Outputs of a continuous python-control system, RK4; several runs at a time.
+
+    Parameters
+    ----------
+    params : dict
+        Values, or arrays of shape (runs,).
+    x0 : array, shape (states, runs)
+    first : bool
+        The input runs straight between samples instead of being held.
+
+    Returns
+    -------
+    array, shape (n, outputs, runs)
+        nan from where a run is no longer finite.
+    """
     x = np.array(x0, float)
+    out = np.full((len(u), system.noutputs, x.shape[1]), np.nan)
     h = ts / SUBSTEPS
-    for k, now in enumerate(u):
-        out[k] = system.output(0.0, x, now, params=params)
-        for _ in range(SUBSTEPS):
-            k1 = system.dynamics(0.0, x, now, params=params)
-            k2 = system.dynamics(0.0, x + 0.5 * h * k1, now, params=params)
-            k3 = system.dynamics(0.0, x + 0.5 * h * k2, now, params=params)
-            k4 = system.dynamics(0.0, x + h * k3, now, params=params)
-            x = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-        if not np.isfinite(x).all():
-            break
+    rate, read_out = system.updfcn, system.outfcn
+    with np.errstate(all="ignore"):
+        for k, now in enumerate(u):
+            out[k] = read_out(0.0, x, now, params)
+            slope = (u[min(k + 1, len(u) - 1)] - now) / SUBSTEPS if first else 0.0 * now
+            for j in range(SUBSTEPS):
+                a, b, c = (now + (j + part) * slope for part in (0.0, 0.5, 1.0))
+                k1 = rate(0.0, x, a, params)
+                k2 = rate(0.0, x + 0.5 * h * k1, b, params)
+                k3 = rate(0.0, x + 0.5 * h * k2, b, params)
+                k4 = rate(0.0, x + h * k3, c, params)
+                x = x + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
     return out
 
 

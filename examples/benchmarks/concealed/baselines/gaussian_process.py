@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import sys
 import warnings
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -23,7 +24,8 @@ from concealed.baselines.common import main, report, simulate
 
 POINTS = 300
 LAGS = (0, 5, 20)
-EVALUATIONS = 6
+EVALUATIONS = 12
+STEP = 1e-4  # of the forward differences, in units of the scaled variables
 
 
 def start(folder, y):
@@ -37,32 +39,71 @@ def start(folder, y):
     return x
 
 
+@dataclass(frozen=True)
+class OutputError:
+    """Output error of recordings as a function of z: logarithms of the free parameters (unless they are fixed), then
+    one initial state per recording in units of `size`."""
+
+    folder: object
+    names: tuple
+    theta: np.ndarray
+    fixed: bool
+
+    def split(self, z):
+        """Logarithms of the parameters (free,) and initial states in units of `size` (recordings, states)."""
+        n = 0 if self.fixed else len(self.theta)
+        return (self.theta if self.fixed else z[:n]), z[n:].reshape(len(self.names), -1)
+
+    def run(self, name, theta, x0):
+        """Simulated outputs, shape (n, outputs, runs), of one recording; `theta` (free, runs), `x0` (states, runs)."""
+        system = self.folder.system
+        params = system.params | {k: system.params[k] * np.exp(v)
+                                  for k, v in zip(self.folder.free, theta, strict=True)}
+        t, u, _ = self.folder.recordings[name]
+        return simulate(system, params, u, t[1] - t[0], x0, self.folder.first)
+
+    def error(self, name, theta, x0):
+        """Errors in units of the outputs' spread, shape (n · outputs, runs)."""
+        y = self.folder.recordings[name][2]
+        e = (self.run(name, theta, x0) - y[:, :, None]) / (y.std(axis=0)[:, None] + 1e-12)
+        return np.clip(np.nan_to_num(e, nan=1e3), -1e3, 1e3).reshape(y.size, -1)
+
+    def residual(self, z, size):
+        """All errors in one vector."""
+        theta, x = self.split(z)
+        return np.concatenate([self.error(n, theta[:, None], (x0 * size)[:, None])[:, 0]
+                               for n, x0 in zip(self.names, x, strict=True)])
+
+    def jacobian(self, z, size):
+        """Forward differences, all columns of a recording in one simulation."""
+        theta, x = self.split(z)
+        moving, states = (0 if self.fixed else len(theta)), len(size)
+        blocks = []
+        for i, (name, x0) in enumerate(zip(self.names, x, strict=True)):
+            moves = STEP * np.eye(moving + states)
+            thetas = np.repeat(theta[:, None], 1 + moving + states, axis=1)
+            thetas[:moving, 1:] += moves[:moving]
+            starts = np.repeat(x0[:, None], 1 + moving + states, axis=1)
+            starts[:, 1:] += moves[moving:]
+            e = self.error(name, thetas, starts * size[:, None])
+            slopes = (e[:, 1:] - e[:, :1]) / STEP
+            block = np.zeros((len(e), len(z)))
+            block[:, :moving] = slopes[:, :moving]
+            block[:, moving + i * states:moving + (i + 1) * states] = slopes[:, moving:]
+            blocks.append(block)
+        return np.vstack(blocks)
+
+
 def refit(folder, names, theta0, fixed):
-    """Refit (log) parameters and initial states of the recordings `names` by output error."""
-    params = dict(folder.system.params)
-    scale = {n: folder.recordings[n][2].std(axis=0) + 1e-12 for n in names}
-    starts = [start(folder, folder.recordings[n][2]) for n in names]
-    size = np.concatenate([np.maximum(np.abs(x), 1e-2) for x in starts])
-
-    def residual(z):
-        theta = theta0 if fixed else z[: len(theta0)]
-        x = np.split(z[0 if fixed else len(theta0):] * size, len(names))
-        now = params | {k: params[k] * np.exp(v) for k, v in zip(folder.free, theta, strict=True)}
-        parts = []
-        for name, x0 in zip(names, x, strict=True):
-            t, u, y = folder.recordings[name]
-            parts.append(((simulate(folder.system, now, u, t[1] - t[0], x0) - y) / scale[name]).ravel())
-        return np.clip(np.nan_to_num(np.concatenate(parts), nan=1e3), -1e3, 1e3)
-
-    z0 = np.concatenate([[] if fixed else theta0, np.concatenate(starts) / size])
-    z = least_squares(residual, z0, max_nfev=EVALUATIONS, x_scale="jac").x
-    theta = theta0 if fixed else z[: len(theta0)]
-    states = np.split(z[0 if fixed else len(theta0):] * size, len(names))
-    now = params | {k: params[k] * np.exp(v) for k, v in zip(folder.free, theta, strict=True)}
-    outputs = {}
-    for name, x0 in zip(names, states, strict=True):
-        t, u, _ = folder.recordings[name]
-        outputs[name] = simulate(folder.system, now, u, t[1] - t[0], x0)
+    """Refit parameters and initial states of the recordings `names`; returns their logarithms and the outputs."""
+    problem = OutputError(folder, tuple(names), theta0, fixed)
+    starts = np.array([start(folder, folder.recordings[n][2]) for n in names])
+    size = np.maximum(np.abs(starts).max(axis=0), 1e-2)
+    z0 = np.concatenate([[] if fixed else theta0, (starts / size).ravel()])
+    z = least_squares(problem.residual, z0, jac=problem.jacobian, args=(size,), max_nfev=EVALUATIONS, x_scale="jac").x
+    theta, x = problem.split(z)
+    outputs = {n: problem.run(n, theta[:, None], (x0 * size)[:, None])[:, :, 0]
+               for n, x0 in zip(names, x, strict=True)}
     return theta, outputs
 
 

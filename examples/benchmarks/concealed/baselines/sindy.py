@@ -1,12 +1,9 @@
-"""Baseline: sparse regression of the smoothed derivative on a friction-aware library (SINDy discrepancy
-modelling).
+"""Baseline: sparse regression of the smoothed derivative on a friction-aware library (SINDy discrepancy modelling).
 
-For each output y the equation  ẏ = Ξ θ(y, …, u)  (levels, temperatures, currents, speeds) or
-ÿ = Ξ θ(y, ẏ, u)  (positions) is regressed: the nominal terms are free, the candidates are thresholded
-sequentially
-(STLSQ). Derivatives come from a Savitzky–Golay filter. The candidate with the largest share of the variance
-names
-the effect; when none reaches `MATERIAL`, the verdict is "only parameters".
+For the first output y the equation ẏ = Ξ θ(y, u) (levels, temperatures, currents, speeds) or ÿ = Ξ θ(y, ẏ, u)
+(positions) is regressed: the nominal terms are free, the candidates are thresholded one after another. Derivatives
+come from a Savitzky–Golay filter. The candidate that alone carries the largest share of the derivative names the
+effect; when none reaches `MATERIAL`, the verdict is "only parameters".
 """
 
 from __future__ import annotations
@@ -24,7 +21,6 @@ from concealed.baselines.common import main, report
 MATERIAL = 0.10  # share of the rms of the derivative that a candidate term must carry
 WINDOW = 21
 ORDER = 3
-ROUNDS = 10
 
 
 def library(q, v, u, order):
@@ -50,22 +46,30 @@ def library(q, v, u, order):
 
 
 def regress(target, nominal, terms):
-    """STLSQ; returns {effect id: share of the target's rms} of the surviving candidates."""
+    """Drop the weakest candidate until each carries `MATERIAL`; returns {effect id: share of the target's rms}.
+
+    A candidate's share is what it alone adds: its coefficient times the part of its column that neither the nominal
+    terms nor the other candidates can imitate. (Whole columns would count the same force several times over where
+    candidates are alike, such as q, q³ and sin q.)
+    """
     alive = list(terms)
-    for _ in range(ROUNDS):
-        full = np.column_stack([nominal, *[terms[k] for k in alive]])
-        scale = np.linalg.norm(full, axis=0) + 1e-300
-        theta = np.linalg.lstsq(full / scale, target, rcond=1e-8)[0] / scale
-        shares = {}
-        for i, k in enumerate(alive):
-            fitted = np.linalg.lstsq(nominal, terms[k], rcond=None)[0]
-            own = theta[nominal.shape[1] + i] * (terms[k] - nominal @ fitted)
-            shares[k] = float(own.std() / target.std())
-        kept = [k for k in alive if shares[k] >= MATERIAL]
-        if kept == alive or not kept:
-            return {k: shares[k] for k in kept}
-        alive = kept
-    return {k: shares[k] for k in alive}
+    while alive:
+        shares = {k: _alone(target, nominal, [terms[o] for o in alive if o != k], terms[k]) for k in alive}
+        weakest = min(alive, key=shares.get)
+        if shares[weakest] >= MATERIAL:
+            return shares
+        alive.remove(weakest)
+    return {}
+
+
+def _alone(target, nominal, others, column):
+    """Share of the target's rms that `column` explains after everything else has been projected out."""
+    rest = np.column_stack([nominal, *others])
+    rest = rest / (np.linalg.norm(rest, axis=0) + 1e-300)
+    both = np.column_stack([target, column / (np.linalg.norm(column) + 1e-300)])
+    left, own = (both - rest @ np.linalg.lstsq(rest, both, rcond=1e-8)[0]).T
+    size = np.linalg.norm(own)
+    return float(abs(own @ left) / size / np.linalg.norm(target)) if size > 1e-6 else 0.0
 
 
 def diagnose(folder, without):

@@ -1,5 +1,5 @@
-"""Horizontal two-link arm; states q1, q2, w1, w2; inputs two joint torques. Friction and payload at joint 1
-and 2."""
+"""Horizontal two-link arm; states q1, q2, w1, w2; inputs two joint torques. Friction and missing
+inertia at joint 1."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ def rhs(x, u, p, e, w, mode, dx):
     """p = a1, a2, a3 (inertia about joint 1, coupling, link 2), b1, b2, gain."""
     c2, s2 = math.cos(x[1]), math.sin(x[1])
     m11 = p[0] + 2.0 * p[1] * c2 + e[V.EXTRA_INERTIA]
-    m12 = p[2] + p[1] * c2 + e[V.EXTRA_INERTIA]
-    m22 = p[2] + e[V.EXTRA_INERTIA]
+    m12 = p[2] + p[1] * c2
+    m22 = p[2]
     on = e[V.CORIOLIS]
     h1 = -on * p[1] * s2 * (2.0 * x[2] * x[3] + x[3] * x[3])
     h2 = on * p[1] * s2 * x[2] * x[2]

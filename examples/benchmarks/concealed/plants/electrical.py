@@ -39,23 +39,7 @@ def _text_motor(plant, params, measured, variant):
     return nonlinear_text(plant, params, measured, body, "Torque constant equals voltage constant.", omit)
 
 
-_SS = '''"""{title}. Linear."""
-
-import control
-
-R = {R:.6g}  # ohm
-L = {L:.6g}  # H
-
-
-def build():
-    return control.ss([[-R / L]], [[1.0 / L]], [[1.0]], [[0.0]],
-                      inputs=["voltage"], outputs=["i_m"], states=["i"], name="rl_circuit")
-'''
-
-
 def _text_coil(plant, params, measured, variant):
-    if variant == "trusted":
-        return _SS.format(title=plant.title, **params)
     body = "    return np.array([(u[0] - R * x[0]) / L])"
     return nonlinear_text(plant, params, measured, body, "Resistance and inductance constant.")
 
