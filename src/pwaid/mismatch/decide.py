@@ -17,7 +17,8 @@ import numpy as np
 
 from pwaid.mismatch.hypotheses import Hypothesis, floor_square, mean_square
 from pwaid.mismatch.nullfit import Problem
-from pwaid.mismatch.vetoes import veto
+from pwaid.mismatch.predictability import predictability
+from pwaid.mismatch.vetoes import at_bound, outside, veto
 
 __all__ = ["Decision", "Thresholds", "at_floor", "decide", "errors_by_recording"]
 
@@ -37,6 +38,9 @@ class Thresholds:
     nested_share: float = 0.002  # ... and its share of the null's error
     rival: float = 1.15  # error ratio within which a rival of another law is not excluded
     wins: float = 0.8  # share of block bootstraps the winner must win
+    left: float = 2.0  # held-out mean square after an effect, relative to the floor's, that needs no excuse ...
+    left_predicted: float = 0.3  # ... beyond it, no more of it than this may follow from the inputs,
+    reach: float = 1.6  # ... nor may a nominal parameter have moved by more than this many tolerances
     moved: float = 0.02  # a parameter that moved by this share of its value counts as wrong
 
 
@@ -119,7 +123,7 @@ def decide(problem: Problem, null: Hypothesis, singles: Sequence[Hypothesis], pa
     reasons: list[str] = []
     share = t.share if problem.floor.trusted else t.share_tentative
     passed = [h for h in singles if _passes(problem, h, null, share)]
-    passed = _judge(problem, passed, reasons)
+    passed = _judge(problem, passed, t, reasons)
     if at_floor(problem, t):
         reasons.append("the refitted simulator is at the noise floor on the held-out recordings")
         return Decision(_agreement_or_parameters(problem, t), null, (), (), tuple(reasons))
@@ -156,15 +160,36 @@ def _passes(problem, h: Hypothesis, null: Hypothesis, share: float) -> bool:
     return bool(np.all(after < before) and np.all(after_t < before_t))
 
 
-def _judge(problem, passed, reasons):
+def _judge(problem, passed, t, reasons):
+    """Those that physics and what they leave do not speak against."""
     kept = []
     for h in passed:
-        reason = veto(problem, h)
+        reason = veto(problem, h) or inadequate(problem, h, t)
         if reason:
             reasons.append(f"{h.label}: {reason}")
         else:
             kept.append(h)
     return kept
+
+
+def inadequate(problem: Problem, h: Hypothesis, t: Thresholds) -> str:
+    """Why what an effect leaves shows that it is not the one, or an empty text.
+
+    At the floor nothing speaks against it. Above the floor the rest may be a disturbance; then the inputs do not
+    predict it, and no parameter had to leave its tolerance or its bounds to stand in for other physics.
+    """
+    floor = np.maximum(problem.floor.level, t.trifle * np.std(problem.train.Y, axis=0)) ** 2
+    left = np.mean((problem.test.Y - h.test.Y) ** 2, axis=0) / floor
+    if np.all(left < t.left):
+        return ""
+    if at_bound(h):
+        return f"{at_bound(h)[0]} went to its bound and the error is not at the floor"
+    if outside(h, t.reach):
+        return f"{outside(h, t.reach)[0]} had to leave its tolerance and the error is not at the floor"
+    rest = predictability(problem.train, h.fit, problem.test, h.test, problem.structure.time_scale)
+    if np.any((left >= t.left) & (rest > t.left_predicted)):
+        return f"the inputs still predict {100 * float(np.max(rest)):.0f} % of what it leaves"
+    return ""
 
 
 def at_floor(problem, t) -> bool:
@@ -178,33 +203,12 @@ def _unrelated(problem, t) -> bool:
     """A small residual that the inputs do not predict: a disturbance, not physics left out."""
     r = problem.test.Y - problem.null_test.Y
     small = np.sqrt(np.mean(r**2, axis=0)) < t.small * np.std(problem.test.Y, axis=0)
-    return bool(np.all(small)) and predicted_by_input(problem) < t.predicted
+    return bool(np.all(small) and np.all(null_predictability(problem) < t.predicted))
 
 
-def predicted_by_input(problem, lags: int = 12) -> float:
-    """Largest held-out share of the null's residual that past inputs and their squares predict linearly."""
-    def regressors(data):
-        rows = []
-        for a, b in data.recordings:
-            U = data.U[a:b]
-            step = max(1, int(problem.structure.time_scale / data.sample_time / 3))
-            shifted = [np.vstack([np.repeat(U[:1], min(k * step, len(U)), axis=0),
-                                  U[:max(len(U) - k * step, 0)]])
-                       for k in range(lags)]
-            V = np.hstack(shifted)
-            rows.append(np.hstack([V, V**2]))
-        return np.vstack(rows)
-
-    if not problem.train.U.shape[1]:
-        return 0.0
-    P, Q = regressors(problem.train), regressors(problem.test)
-    centre, scale = P.mean(0), P.std(0) + 1e-12
-    P, Q = (P - centre) / scale, (Q - centre) / scale
-    r, s = problem.train.Y - problem.null.Y, problem.test.Y - problem.null_test.Y
-    w = np.linalg.solve(P.T @ P + 1e-3 * len(P) * np.eye(P.shape[1]), P.T @ (r - r.mean(0)))
-    left = s - r.mean(0) - Q @ w
-    return float(np.max(1 - np.mean(left**2, axis=0) / np.maximum(np.mean((s - r.mean(0)) ** 2, axis=0),
-                                                                  1e-300)))
+def null_predictability(problem) -> np.ndarray:
+    """Share of the refitted null's held-out residual that follows from the inputs, per output."""
+    return predictability(problem.train, problem.null, problem.test, problem.null_test, problem.structure.time_scale)
 
 
 def _passing_pairs(problem, null, singles, pairs, share, t, reasons):
@@ -218,7 +222,7 @@ def _passing_pairs(problem, null, singles, pairs, share, t, reasons):
         if any(_gain(problem, p, h) < t.second_share for p in better):
             continue
         found.append(h)
-    return sorted(_judge(problem, found, reasons), key=_score)
+    return sorted(_judge(problem, found, t, reasons), key=_score)
 
 
 def _gain(problem, single: Hypothesis, pair: Hypothesis) -> float:

@@ -8,7 +8,9 @@ from pwaid.mismatch.floor import white_level
 from pwaid.mismatch.hypotheses import Hypothesis
 from pwaid.mismatch.nullfit import Problem
 
-__all__ = ["at_bound", "veto"]
+__all__ = ["at_bound", "outside", "veto"]
+
+_LOOSE = ("stiffness", "contact_frequency", "damping", "phase", "share", "ambient")  # what recordings may leave open
 
 
 def at_bound(h: Hypothesis, tolerance: float = 1e-6) -> list[str]:
@@ -17,11 +19,18 @@ def at_bound(h: Hypothesis, tolerance: float = 1e-6) -> list[str]:
     found, k = [], h.fit.model.np
     for e in h.located:
         for q in e.effect.quantities:
-            if q.name not in ("stiffness", "contact_frequency") and (
+            if q.name not in _LOOSE and (
                     abs(h.fit.theta[k] - high[k]) < tolerance or abs(h.fit.theta[k] - low[k]) < tolerance):
                 found.append(q.name)
             k += 1
     return found
+
+
+def outside(h: Hypothesis, reach: float) -> list[str]:
+    """Names of nominal parameters that had to move by more than `reach` tolerances (on the logarithmic axis)."""
+    settings, n = h.fit.model.settings, h.fit.model.np
+    moved = np.abs(h.fit.theta[:n]) / np.log1p(settings.tolerance)
+    return [name for name, m in zip(settings.free, moved, strict=True) if m > reach]
 
 
 def veto(problem: Problem, h: Hypothesis) -> str:
