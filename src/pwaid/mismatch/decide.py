@@ -16,6 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pwaid.mismatch.hypotheses import Hypothesis, floor_square, mean_square
+from pwaid.mismatch.noise import fit_noise
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.predictability import predictability
 from pwaid.mismatch.vetoes import at_bound, outside, veto
@@ -40,7 +41,9 @@ class Thresholds:
     wins: float = 0.8  # share of block bootstraps the winner must win
     left: float = 2.0  # held-out mean square after an effect, relative to the floor's, that needs no excuse ...
     left_predicted: float = 0.3  # ... beyond it, no more of it than this may follow from the inputs,
-    reach: float = 1.6  # ... nor may a nominal parameter have moved by more than this many tolerances
+    trace: float = 0.01  # (unless that is less than this share of what there was to explain)
+    reach: float = 1.6  # ... nor may a nominal parameter have moved by more than this many tolerances,
+    evidence: float = 50.0  # ... and the held-out log-likelihood, residuals made white, must have risen by this much
     moved: float = 0.02  # a parameter that moved by this share of its value counts as wrong
 
 
@@ -176,7 +179,8 @@ def inadequate(problem: Problem, h: Hypothesis, t: Thresholds) -> str:
     """Why what an effect leaves shows that it is not the one, or an empty text.
 
     At the floor nothing speaks against it. Above the floor the rest may be a disturbance; then the inputs do not
-    predict it, and no parameter had to leave its tolerance or its bounds to stand in for other physics.
+    predict it, no parameter had to leave its tolerance or its bounds to stand in for other physics, and the gain
+    is seen by likelihoods that count a slow wave once.
     """
     floor = np.maximum(problem.floor.level, t.trifle * np.std(problem.train.Y, axis=0)) ** 2
     left = np.mean((problem.test.Y - h.test.Y) ** 2, axis=0) / floor
@@ -186,10 +190,22 @@ def inadequate(problem: Problem, h: Hypothesis, t: Thresholds) -> str:
         return f"{at_bound(h)[0]} went to its bound and the error is not at the floor"
     if outside(h, t.reach):
         return f"{outside(h, t.reach)[0]} had to leave its tolerance and the error is not at the floor"
+    before = np.mean((problem.test.Y - problem.null_test.Y) ** 2, axis=0) / floor
     rest = predictability(problem.train, h.fit, problem.test, h.test, problem.structure.time_scale)
-    if np.any((left >= t.left) & (rest > t.left_predicted)):
+    if np.any((left >= t.left) & (rest > t.left_predicted) & (rest * left > t.trace * before)):
         return f"the inputs still predict {100 * float(np.max(rest)):.0f} % of what it leaves"
+    gain = likelihood_gain(problem, h)
+    if gain < t.evidence:
+        return f"the held-out log-likelihood rose by {gain:.0f} only, once residuals are made white"
     return ""
+
+
+def likelihood_gain(problem: Problem, h: Hypothesis) -> float:
+    """Held-out log-likelihood of h over the null, both under the noise model of what h leaves in training."""
+    noise = fit_noise(problem.train.Y - h.fit.Y, problem.train.segments)
+    before = noise.innovations(problem.test.Y - problem.null_test.Y, problem.test.segments)
+    after = noise.innovations(problem.test.Y - h.test.Y, problem.test.segments)
+    return 0.5 * float(np.sum(before**2) - np.sum(after**2))
 
 
 def at_floor(problem, t) -> bool:

@@ -14,6 +14,7 @@ from pwaid.mismatch.decide import Thresholds, at_floor
 from pwaid.mismatch.effects.base import Effect
 from pwaid.mismatch.hypotheses import (
     Hypothesis,
+    fit_inner,
     fit_members,
     fit_pairs,
     fit_shortlist,
@@ -70,6 +71,7 @@ def gather(problem: Problem, catalogue: Sequence[Effect], notes: Sequence[str] =
         cheap = len(problem.train.U) * problem.settings.substeps < 5000
         pairs = fit_pairs(problem, singles, located, jobs, width=4 if cheap else 2)
         singles = fit_members(problem, pairs, singles, jobs)
+        pairs = sorted([*pairs, *fit_inner(problem, pairs, singles, located, jobs)], key=lambda h: h.train_error)
     return Evidence(problem, null, tuple(screened), tuple(singles), tuple(pairs), len(located) + len(pairs),
                     tuple(notes))
 

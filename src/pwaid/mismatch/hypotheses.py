@@ -14,8 +14,8 @@ from pwaid.mismatch.model import Located, Model
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.screen import Screened, run_jobs, screen
 
-__all__ = ["Hypothesis", "fit_members", "fit_pairs", "fit_shortlist", "floor_square", "hypothesis_of", "mean_square",
-           "null_hypothesis", "share"]
+__all__ = ["Hypothesis", "fit_inner", "fit_members", "fit_pairs", "fit_shortlist", "floor_square", "hypothesis_of",
+           "mean_square", "null_hypothesis", "on_whole", "share"]
 
 
 @dataclass(frozen=True)
@@ -210,7 +210,8 @@ def _distinct(hypotheses: Sequence[Hypothesis], count: int) -> list[Hypothesis]:
 
 def fit_pairs(problem: Problem, singles: Sequence[Hypothesis], located: Sequence[Located], jobs: int = 1,
               beam: int = 2, width: int = 2, tick=None) -> list[Hypothesis]:
-    """On top of the best singles, screen again and fit the best seconds, then the variants of the best pair's laws."""
+    """On top of the best singles, screen again and fit the best seconds; then the best pair with other laws of the
+    same ids and with the laws its laws contain."""
     pairs: list[Hypothesis] = []
     seen: set[frozenset] = set()
     for h in _distinct(singles, beam):
@@ -260,6 +261,24 @@ def fit_members(problem: Problem, pairs: Sequence[Hypothesis], singles: Sequence
     return sorted(known.values(), key=lambda h: h.train_error)
 
 
+def _inner(outer: Located, located: Sequence[Located]) -> list[Located]:
+    """The laws that a law contains, at the same place."""
+    return [c for c in located if c.effect.id in outer.effect.contains and c.place.signal == outer.place.signal]
+
+
+def fit_inner(problem: Problem, pairs: Sequence[Hypothesis], singles: Sequence[Hypothesis],
+              located: Sequence[Located], jobs: int = 1) -> list[Hypothesis]:
+    """The best pair with its first law replaced by those it contains, on top of the second alone."""
+    found = []
+    for pair in _distinct(pairs, 1):
+        base = next((h for h in singles if h.located[0].key == pair.located[1].key), None)
+        inner = _inner(pair.located[0], located)
+        if base is not None and inner:
+            candidates = [s for s in screen(problem, base.coarse, inner, jobs) if s.score > 0]
+            found += fit_shortlist(problem, candidates, jobs, base=base.coarse) if candidates else []
+    return found
+
+
 def _variants(problem, pair, singles, located, jobs, tick):
     """The same two ids under their other laws and places next to these."""
     first, second = pair.located
@@ -268,5 +287,6 @@ def _variants(problem, pair, singles, located, jobs, tick):
         return []
     others = [c for c in located if c.effect.id == second.effect.id and c.key != second.key
               and c.place.kind == second.place.kind][:3]
+    others += _inner(second, located)
     candidates = [s for s in screen(problem, base.coarse, others, jobs) if s.score > 0]
     return fit_shortlist(problem, candidates, jobs, base=base.coarse, tick=tick)

@@ -53,13 +53,12 @@ def _regression(r, segments, p):
     return np.vstack([_past(s, p) for s in parts]), np.concatenate([s[p:] for s in parts])
 
 
-def fit_noise(residual, segments, least=0.0) -> NoiseModel:
+def fit_noise(residual, segments) -> NoiseModel:
     """Autoregression of every output's residual, its order by BIC over ORDERS.
 
     Parameters
     ----------
     residual : (N, ny), in the outputs' units. segments : (n, 2 or more) first and last+1 sample.
-    least : (ny,) standard deviation below which no innovation is believed.
     """
     coefficients, variance = [], []
     for k in range(residual.shape[1]):
@@ -75,5 +74,5 @@ def fit_noise(residual, segments, least=0.0) -> NoiseModel:
                 best = bic, a, v
         a, v = (best[1], best[2]) if best else (np.zeros(0), float(np.mean(residual[:, k] ** 2)) + 1e-300)
         coefficients.append(a)
-        variance.append(max(v, np.broadcast_to(least, residual.shape[1:])[k] ** 2))
+        variance.append(v)
     return NoiseModel(tuple(coefficients), np.array(variance))

@@ -3,7 +3,8 @@
 A residual that a flexible model learned on the training recordings predicts on held-out ones is a function of what
 drove the machine: some law is missing there, or a wrong one stands in its place. A disturbance cannot be predicted
 so, however large it is. The regressors are the simulated states and the inputs at several lags with their moduli,
-signed squares and signs; ridge regression keeps them from fitting noise.
+signed squares and signs, time, and its products with them (a drift is alike in every recording); ridge regression
+keeps them from fitting noise.
 """
 
 from __future__ import annotations
@@ -22,8 +23,9 @@ RIDGE = 0.01  # of the samples: an R² of 0.01 per regressor is not worth fittin
 def _regressors(data: Dataset, fit: Fit, step: int) -> np.ndarray:
     Z = np.hstack([fit.X[:, :fit.model.nx], data.U])
     rows = []
-    for a, b in data.segments[:, :2]:
-        z, columns = Z[a:b], []
+    for a, b, begin, _ in data.segments:
+        z, t = Z[a:b], ((np.arange(a, b) - begin) * data.sample_time)[:, None]
+        columns = [t, t * z]
         for k in range(LAGS):
             shift = min(k * step, len(z))
             late = np.vstack([np.repeat(z[:1], shift, axis=0), z[:len(z) - shift]])

@@ -47,6 +47,8 @@ def veto(problem: Problem, h: Hypothesis) -> str:
             q is first or q.name.startswith(("level", "coefficient", "excess", "load_factor")))]
         if sizes and all(v <= np.log(q.low) + 0.05 for q, v in sizes):
             return f"{' and '.join(q.name for q, _ in sizes)} went to zero"
+        if e.effect.id == "position_ripple" and z[1] <= np.log(e.effect.quantities[1].low) + 1e-3:
+            return "its period is as long as the stroke: no ripple"
         if e.effect.id == "sensor_saturation" and _beyond(problem, e, values[0]):
             return "the recording goes beyond the limit that is said to clip it"
         if e.effect.id == "end_stop" and abs(z[1]) >= 0.9999:
