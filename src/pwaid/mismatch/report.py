@@ -12,14 +12,16 @@ from pathlib import Path
 import numpy as np
 
 from pwaid.mismatch.decide import Decision
-from pwaid.mismatch.experiment import next_experiment
+from pwaid.mismatch.experiment import Experiment, next_experiment, plan_experiment, rivals
 from pwaid.mismatch.hypotheses import Hypothesis, share
 from pwaid.mismatch.intervals import parameter_intervals
+from pwaid.mismatch.isolability import Isolability, isolability, leading
 from pwaid.mismatch.locate import Location
 from pwaid.mismatch.measures import fit_table
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.repaired import repaired_source, repaired_system
 from pwaid.mismatch.summary import summary_text
+from pwaid.mismatch.units import combine
 
 __all__ = ["SCHEMA", "Report", "build_report", "write_report"]
 
@@ -38,6 +40,8 @@ class Report:
     pairs: tuple[Hypothesis, ...] = field(repr=False)
     location: Location = field(repr=False)
     fallback: Hypothesis | None = field(default=None, repr=False)
+    isolability: Isolability | None = field(default=None, repr=False)
+    experiment: Experiment | None = field(default=None, repr=False)
 
     @property
     def verdict(self) -> str:
@@ -147,9 +151,25 @@ def _candidates(problem, hypotheses, passed, output_names):
     return sorted(rows, key=lambda r: -r["share_explained"])
 
 
+def _units(problem: Problem) -> dict:
+    """Units of inputs and outputs as text."""
+    s, plant = problem.structure, problem.plant
+    return {"inputs": {n: combine({}, (dict(u), 1)) for n, u in zip(plant.input_names, s.input_units, strict=True)},
+            "outputs": {n: combine({}, (dict(u), 1)) for n, u in zip(plant.output_names, s.output_units, strict=True)}}
+
+
+def _alternatives(decision: Decision) -> list[list[int]]:
+    """Which entries of `effects` belong to each member of the answer."""
+    groups, k = [], 0
+    for h in decision.members:
+        groups.append(list(range(k, k + len(h.located))))
+        k += len(h.located)
+    return groups
+
+
 def build_report(problem: Problem, null, singles, pairs, screened, decision: Decision, location: Location,
                  notes,
-                 tried: int, seconds: float, fallback: Hypothesis | None = None) -> Report:
+                 tried: int, seconds: float, fallback: Hypothesis | None = None, jobs: int = 1) -> Report:
     """Gather everything into the content of report.json."""
     names = problem.plant.output_names
     used = fallback if fallback is not None and fallback.share > 0 else None
@@ -166,27 +186,33 @@ def build_report(problem: Problem, null, singles, pairs, screened, decision: Dec
         parameters[name] = {"nominal": nominal, "refitted": nominal * np.exp(best.fit.theta[k]),
                             "low": ends[0],
                             "high": ends[1], "without_effect": nominal * np.exp(null.fit.theta[k])}
+    units, others = _units(problem), [*singles, *pairs]
+    told = isolability(problem, leading(null, decision.members, others), jobs)
+    pair = rivals(null, decision, others)
+    plan = plan_experiment(problem, pair, list(units["inputs"].values()), told) if pair else None
     stages = {"nominal": problem.nominal_test.Y, "refitted": null.test.Y, "repaired": best.test.Y}
     content = {
-        "schema": "pwaid.mismatch/1", "verdict": decision.verdict, "effects": effects,
-        "candidates": _candidates(problem, [*singles, *pairs], decision.passed, names),
+        "schema": SCHEMA, "verdict": decision.verdict, "effects": effects,
+        "alternatives": _alternatives(decision), "units": units,
+        "candidates": _candidates(problem, others, decision.passed, names),
         "location": _location(location, decision.chosen if decision.members else None, screened),
         "parameters": parameters,
-        "fit": fit_table(problem.test, names, stages),
+        "fit": fit_table(problem.test, names, stages, problem.floor.level),
         "fit_train": fit_table(problem.train, names, {"nominal": problem.nominal.Y, "refitted": null.fit.Y,
-                                                      "repaired": best.fit.Y}),
+                                                      "repaired": best.fit.Y}, problem.floor.level),
         "share_explained": best.share if decision.members else 0.0,
         "noise_floor": dict(zip(names, map(float, problem.floor.level), strict=True)),
         "noise_floor_source": problem.floor.source,
         "correction": _correction(location, fallback, used),
-        "next_experiment": next_experiment(problem, decision, singles),
+        "next_experiment": next_experiment(problem, decision, plan),
+        "experiment": plan.table() if plan else None, "isolability": told.table(),
         "reasons": list(decision.reasons), "warnings": warnings,
         "screen": [{"id": s.located.effect.id, "where": s.located.label, "score": s.score,
                     "visible": s.visible}
                    for s in screened],
         "hypotheses_tried": tried, "seconds": seconds,
     }
-    return Report(_clean(content), problem, null, decision, tuple(singles), tuple(pairs), location, used)
+    return Report(_clean(content), problem, null, decision, tuple(singles), tuple(pairs), location, used, told, plan)
 
 
 def _location(location: Location, best, screened) -> dict:
