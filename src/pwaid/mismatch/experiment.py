@@ -28,8 +28,8 @@ class Experiment:
     """The chosen input and what the two hypotheses predict under it.
 
     `predicted` and `present`: RMS difference of the predictions over the noise floor, the second hypothesis
-    refitted to the first, under the input and in the present recordings. `time` (N,), `U` (N, nu), `first` and
-    `second` (N, ny): the input and both predictions, the second refitted.
+    refitted to the first, under the input and in the present recordings. `time` (N,), `first` and `second` (N, ny):
+    both predictions, the second refitted.
     """
 
     proposal: Proposal

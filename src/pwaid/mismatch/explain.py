@@ -131,7 +131,8 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
     location = locate(problem, named, look=decision.verdict not in ("agreement", "parameters_only"))
     fallback = correct(problem, location) if decision.verdict == "unexplained" else None
     report = build_report(problem, null, singles, pairs, screened, decision, location, notes,
-                          len(located) + len(pairs), clock.perf_counter() - started, fallback, jobs)
+                          len(located) + len(pairs), clock.perf_counter() - started, fallback, jobs,
+                          thresholds)
     say(1.0, "done")
     return report
 

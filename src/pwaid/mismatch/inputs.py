@@ -112,7 +112,7 @@ def proposals(data: Dataset, names, units, most: int = SAMPLES) -> list[Proposal
             U = np.tile(_rest(data), (n, 1)) if whole is None else whole.copy()
             U[:, c.index] = u
             tiny = 1e-9 * (high - low)
-            if np.all(U >= low - tiny) and np.all(U <= high + tiny):
+            if not (np.any(low - tiny > U) or np.any(high + tiny < U)):
                 found.append(Proposal(kind, c.name, f"{words} on {c.name}", np.ascontiguousarray(U), amplitude, period,
                                       n * h))
 

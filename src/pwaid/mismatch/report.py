@@ -11,11 +11,11 @@ from pathlib import Path
 
 import numpy as np
 
-from pwaid.mismatch.decide import Decision
+from pwaid.mismatch.decide import Decision, Thresholds
 from pwaid.mismatch.experiment import Experiment, next_experiment, plan_experiment, rivals
 from pwaid.mismatch.hypotheses import Hypothesis, share
 from pwaid.mismatch.intervals import parameter_intervals
-from pwaid.mismatch.isolability import Isolability, isolability, leading
+from pwaid.mismatch.isolability import Isolability, isolability, leading, nested
 from pwaid.mismatch.locate import Location
 from pwaid.mismatch.measures import fit_table
 from pwaid.mismatch.nullfit import Problem
@@ -139,15 +139,17 @@ def _shares(problem, h: Hypothesis, singles) -> list[float]:
     return [first, h.share - first]
 
 
-def _candidates(problem, hypotheses, passed, output_names):
+def _candidates(problem, hypotheses, decision: Decision, output_names):
+    """One row per fitted candidate; `wider`: it contains the answer, or is contained in it, and is not the answer."""
     rows = []
-    ok = {id(h) for h in passed}
+    ok = {id(h) for h in decision.passed}
     for h in hypotheses:
         rmse = np.sqrt(np.mean((problem.test.Y - h.test.Y) ** 2, axis=0))
         rows.append({"id": " + ".join(h.ids), "family": " + ".join(h.families), "where": h.label,
                      "heldout_rmse": dict(zip(output_names, map(float, rmse), strict=True)),
                      "share_explained": h.share, "screen_score": h.score, "parameters": h.fit.model.size,
-                     "passed": id(h) in ok})
+                     "passed": id(h) in ok,
+                     "wider": any(h is not m and nested(h, m) for m in decision.members)})
     return sorted(rows, key=lambda r: -r["share_explained"])
 
 
@@ -169,7 +171,8 @@ def _alternatives(decision: Decision) -> list[list[int]]:
 
 def build_report(problem: Problem, null, singles, pairs, screened, decision: Decision, location: Location,
                  notes,
-                 tried: int, seconds: float, fallback: Hypothesis | None = None, jobs: int = 1) -> Report:
+                 tried: int, seconds: float, fallback: Hypothesis | None = None, jobs: int = 1,
+                 thresholds: Thresholds | None = None) -> Report:
     """Gather everything into the content of report.json."""
     names = problem.plant.output_names
     used = fallback if fallback is not None and fallback.share > 0 else None
@@ -186,6 +189,7 @@ def build_report(problem: Problem, null, singles, pairs, screened, decision: Dec
         parameters[name] = {"nominal": nominal, "refitted": nominal * np.exp(best.fit.theta[k]),
                             "low": ends[0],
                             "high": ends[1], "without_effect": nominal * np.exp(null.fit.theta[k])}
+    limits = thresholds or Thresholds()
     units, others = _units(problem), [*singles, *pairs]
     told = isolability(problem, leading(null, decision.members, others), jobs)
     pair = rivals(null, decision, others)
@@ -194,12 +198,14 @@ def build_report(problem: Problem, null, singles, pairs, screened, decision: Dec
     content = {
         "schema": SCHEMA, "verdict": decision.verdict, "effects": effects,
         "alternatives": _alternatives(decision), "units": units,
-        "candidates": _candidates(problem, others, decision.passed, names),
+        "answer": [h.label for h in decision.members],
+        "candidates": _candidates(problem, others, decision, names),
         "location": _location(location, decision.chosen if decision.members else None, screened),
         "parameters": parameters,
         "fit": fit_table(problem.test, names, stages, problem.floor.level),
         "fit_train": fit_table(problem.train, names, {"nominal": problem.nominal.Y, "refitted": null.fit.Y,
                                                       "repaired": best.fit.Y}, problem.floor.level),
+        "share_needed": limits.share if problem.floor.trusted else limits.share_tentative,
         "share_explained": best.share if decision.members else 0.0,
         "noise_floor": dict(zip(names, map(float, problem.floor.level), strict=True)),
         "noise_floor_source": problem.floor.source,

@@ -72,8 +72,7 @@ def _effect_phrase(e: dict) -> str:
 
 def _members(c: dict) -> list[str]:
     """Each member of the answer in words, a pair joined by `and`."""
-    groups = c.get("alternatives") or [list(range(len(c["effects"])))]
-    return [_listed(_effect_phrase(c["effects"][i]) for i in group) for group in groups if group]
+    return [_listed(_effect_phrase(c["effects"][i]) for i in group) for group in c["alternatives"]]
 
 
 def _worst(c: dict, stage: str) -> tuple[float, str]:
@@ -121,29 +120,24 @@ def _sure(c: dict) -> list[str]:
     lines = []
     trust = f"noise floor: {c['noise_floor_source']}"
     if c["effects"]:
-        other = _runners(c)[:1]
-        rival = (f"; the best of the other laws, {other[0]['where']}, explains {_percent(other[0]['share_explained'])}"
-                 if other and c["verdict"] == "named" else "")
-        lines.append(f"It explains {_percent(c['share_explained'])} of the explainable held-out error{rival} ({trust}).")
+        other = [r for r in _runners(c) if not r["wider"]][:1] if c["verdict"] == "named" else []
+        rival = "".join(f"; the runner-up, {r['where']}, explains {_percent(r['share_explained'])}" for r in other)
+        share = _percent(c["share_explained"])
+        lines.append(f"It explains {share} of the explainable held-out error{rival} ({trust}).")
     else:
         lines.append(f"Yardstick: {trust}.")
-    alike = (c.get("isolability") or {}).get("alike", [])
-    if alike and c["verdict"] in ("named", "one_of"):
-        inside = [pair for pair in alike if "parameters only" not in pair]
-        if inside:
-            lines.append("These recordings cannot tell apart: "
-                         + "; ".join(" from ".join(pair) for pair in inside[:3]) + ".")
+    answers = set(c["answer"])
+    alike = [pair for pair in c["isolability"]["alike"] if answers & set(pair)]
+    if alike:
+        lines.append(f"These recordings cannot tell apart: {'; '.join(' from '.join(pair) for pair in alike[:3])}.")
     return lines
 
 
 def _runners(c: dict) -> list[dict]:
-    """Fitted candidates that are not the answer, best first."""
-    groups = c.get("alternatives") or []
-    answers = {" + ".join(c["effects"][i]["id"] for i in group) for group in groups}
-    seen, found = set(answers), []
+    """Fitted candidates that are not the answer, best first, one per set of laws."""
+    seen, found = {r["id"] for r in c["candidates"] if r["where"] in c["answer"]}, []
     for r in c["candidates"]:
-        wider = any(set(a.split(" + ")) < set(r["id"].split(" + ")) for a in answers)
-        if r["id"] not in seen and not wider and r["share_explained"] is not None:
+        if r["id"] not in seen and r["share_explained"] is not None:
             seen.add(r["id"])
             found.append(r)
     return found
@@ -174,10 +168,11 @@ def _unknown(seen: dict, memory: bool) -> str:
               f"{_percent(pair['heldout_gain'])} held out.") if pair else ""
     if not seen["variable"]:
         return f"An unknown input at {place} is no law of one variable." + second
-    bends = ", ".join(f"a {'jump' if b['jump'] else 'bend'} at {number(b['position'])} ({number(b['low'])} to "
-                      f"{number(b['high'])})" for b in seen["breakpoints"])
-    return (f"An unknown input at {place} goes with {seen['variable']} (held-out gain over linear "
-            f"{_percent(seen['heldout_gain'])}): {bends or 'no sharp bend'}{', with memory' if memory else ''}." + second)
+    bends = ", ".join(f"a {'jump' if b['jump'] else 'bend'} at {number(b['position'])} "
+                      f"({number(b['low'])} to {number(b['high'])})" for b in seen["breakpoints"])
+    gain, past = _percent(seen["heldout_gain"]), ", with memory" if memory else ""
+    return (f"An unknown input at {place} goes with {seen['variable']} (held-out gain over linear {gain}): "
+            f"{bends or 'no sharp bend'}{past}.{second}")
 
 
 def _what(c: dict) -> list[str]:
@@ -196,7 +191,7 @@ def _what(c: dict) -> list[str]:
 
 def _proof(c: dict) -> list[str]:
     """RMSE per held-out recording and output, with floor and whiteness."""
-    units = (c.get("units") or {}).get("outputs", {})
+    units = c["units"]["outputs"]
     lines, rows = ["Error on held-out recordings, RMSE: nominal -> parameters refitted -> repaired; floor"], []
     for recording, outputs in c["fit"].items():
         for output, stages in outputs.items():
@@ -210,11 +205,14 @@ def _proof(c: dict) -> list[str]:
 
 
 def _else(c: dict) -> list[str]:
-    others = _runners(c)[:3]
-    if not others:
-        return []
-    return ["Runners-up (share of explainable held-out error): " + "; ".join(
-        f"{r['where']} {_percent(r['share_explained'])}" for r in others)]
+    """The best of the other laws, then those that contain the answer."""
+    lines = []
+    for wider, title in ((False, "Runners-up (share of explainable held-out error): "),
+                         (True, "Laws that contain the answer and need not: ")):
+        rows = [r for r in _runners(c) if r["wider"] == wider][:3]
+        if rows:
+            lines.append(title + "; ".join(f"{r['where']} {_percent(r['share_explained'])}" for r in rows))
+    return lines
 
 
 def summary_text(c: dict) -> str:

@@ -61,8 +61,8 @@ def timing_notes(problem: Problem) -> list[str]:
                          f"{data.names[0]} and {last[0] * data.sample_time:.3g} s at its end: two clocks that run "
                          f"apart by {100 * drift[0]:.2g} %?")
         else:
-            notes += _constant(name, [w[0] for w in whole if w[1] > ALIKE and w[2] > GAIN], len(whole), data.sample_time,
-                               problem.settings.first_order_hold)
+            shifts = [w[0] for w in whole if w[1] > ALIKE and w[2] > GAIN]
+            notes += _constant(name, shifts, len(whole), data.sample_time, problem.settings.first_order_hold)
     return notes
 
 
@@ -87,7 +87,7 @@ def _constant(name: str, shifts, count: int, sample_time: float, interpolated: b
             return [f"{name} comes {amount} after its simulation: is the input held between samples? "
                     "then say hold = \"zero\""]
     if shift > 0.3:
-        return [f"{name} comes {amount} after its simulation in every recording: a delay, a lag, or outputs sampled late"]
+        return [f"{name} comes {amount} after its simulation in every recording: a delay, a lag, or late sampling"]
     if shift < -0.3:
         return [f"{name} comes {amount} before its simulation in every recording: no cause can do that; check which "
                 "sample of input and output belong together"]
