@@ -20,7 +20,7 @@ from pwaid.mismatch.locate import Location
 from pwaid.mismatch.measures import fit_table
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.repaired import repaired_source, repaired_system
-from pwaid.mismatch.summary import summary_text
+from pwaid.mismatch.summary import summary_text, with_interval
 from pwaid.mismatch.units import combine
 
 __all__ = ["SCHEMA", "Report", "build_report", "write_report"]
@@ -268,21 +268,20 @@ def _collinear(h: Hypothesis, correlation) -> list[str]:
 
 def write_report(report: Report, out: Path, simulator_source: str) -> None:
     """Write report.json, report.html and repaired_simulator.py; all are made before any is written."""
-    rows = []
-    for e in report.effects:
+    comments = {}
+    for k, e in enumerate(report.effects[:len(report.best.located)]):
         for name, v in e["parameters"].items():
-            rows.append(f"{e['id']}.{name} = {v['value']:.6g} {v['unit']}  (90 %: {v['low']:.4g} to {v['high']:.4g})")
+            said = f"90 %: {with_interval(v['value'], v['low'], v['high'])}"
+            comments[f"{k}.{name}"] = f"{v['unit']}, {said}" if v["unit"] else said
     for name, v in report.content["parameters"].items():
-        rows.append(f"{name} = {v['refitted']:.6g}  (nominal {v['nominal']:.6g}; "
-                    f"90 %: {v['low']:.4g} to {v['high']:.4g})")
+        comments[name] = f"nominal {v['nominal']:.6g}, 90 %: {with_interval(v['refitted'], v['low'], v['high'])}"
     from pwaid.mismatch.html import html_page
 
     files = {"report.json": json.dumps(report.content, indent=1, allow_nan=False),
              "report.html": html_page(report),
              "report.txt": report.summary,
              "repaired_simulator.py": repaired_source(report.best, report.problem.train.sample_time,
-                                                      simulator_source,
-                                                      rows)}
+                                                      simulator_source, comments)}
     out.mkdir(parents=True, exist_ok=True)
     for name, text in files.items():
         (out / name).write_text(text, encoding="utf-8")
