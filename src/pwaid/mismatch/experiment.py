@@ -117,7 +117,8 @@ def plan_experiment(problem: Problem, pair: tuple[Hypothesis, Hypothesis], units
     finals = []
     for _, p, (first, _) in tried[:FINALISTS]:
         both = _combined(train, p.U, ny)
-        second = Refitter(pair[1], both, np.vstack([pair[1].fit.X0, _start(pair)]), noise, problem.ranges)
+        second = Refitter(pair[1], both, np.vstack([pair[1].fit.X0, _start(pair)]), noise, problem.ranges,
+                          known=1)
         target = np.vstack([pair[0].fit.Y, first])
         predicted = second.refit(target)[len(train.U):]
         finals.append((times_noise(first, predicted, noise), p, first, predicted))

@@ -52,7 +52,8 @@ def _figures(report):
 def _window(y, error) -> slice:
     """The stretch that holds at most SWINGS swings of y (N, ny) and most of the error (N,)."""
     centred = y - y.mean(axis=0)
-    swings = max(int(np.sum(np.diff(np.signbit(column)))) for column in centred.T)
+    far = [column[np.abs(column) > 0.3 * np.std(column)] for column in centred.T]  # noise near the mean is no swing
+    swings = max(int(np.sum(np.diff(np.signbit(column)))) for column in far)
     n = len(y)
     if swings <= 2 * SWINGS:
         return slice(0, n)
@@ -79,9 +80,9 @@ def overview(report):
         left.plot(t[window], y[window, k], color="black", lw=2.2, alpha=0.55, label="recorded")
         for label, Y, color, style in stages:
             left.plot(t[window], Y[window, k], color=color, ls=style, lw=1.1, label=label)
-        for label, Y, color, style in stages[1:]:
+        for label, Y, color, _ in stages[1:]:
             rmse = np.sqrt(np.mean((y[:, k] - Y[:, k]) ** 2))
-            right.plot(t, y[:, k] - Y[:, k], color=color, ls=style, lw=0.8, label=f"{label}: {rmse:.3g} RMS")
+            right.plot(t, y[:, k] - Y[:, k], color=color, lw=0.8, label=f"{label}: {rmse:.3g} RMS")
         right.axhspan(-p.floor.level[k], p.floor.level[k], color="0.8", zorder=0,
                       label=f"noise floor: {p.floor.level[k]:.3g}")
         low, high = np.min(y[window, k]), np.max(y[window, k])

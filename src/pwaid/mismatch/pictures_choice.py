@@ -29,7 +29,8 @@ def candidate_bars(report):
     ax.barh(at, np.clip(shares, -8, None), color=[AFTER if ok else "0.75" for ok in passed], height=0.7,
             hatch=["" if ok else "//" for ok in passed], edgecolor="white")
     for k, (s, ok) in enumerate(zip(shares, passed, strict=True)):
-        ax.text(max(s, 0) + 1, k, f"{s:.3g} %, {'passed' if ok else 'not passed'}", va="center", fontsize=8)
+        ax.text(max(s, 0) + 1, k, f"{s:.3g} %, {'passed' if ok else 'not passed'}", va="center", fontsize=8,
+                bbox={"color": "white", "pad": 0.5}, zorder=4)
     ax.axvline(100 * c["share_needed"], color="black", ls="--", lw=1)
     ax.text(100 * c["share_needed"], len(rows) - 0.45, f"needed: {100 * c['share_needed']:.0f} %", fontsize=8,
             ha="center", va="bottom", bbox={"color": "white", "pad": 1})
@@ -78,6 +79,8 @@ def experiment_picture(report):
         ax.fill_between(plan.time, plan.first[:, k], plan.second[:, k], color="0.7", alpha=0.5, lw=0,
                         label=f"difference: {np.sqrt(np.mean(d**2)):.3g} RMS, {times:.3g} times the noise")
         ax.set_ylabel(axis_label(report, "outputs", p.plant.output_names[k]))
+        low, high = ax.get_ylim()
+        ax.set_ylim(low, high + 0.45 * (high - low))
         ax.legend(fontsize=8, loc="upper right")
     for ax in axes:
         ax.grid(alpha=0.25)

@@ -38,7 +38,8 @@ def times_noise(a, b, noise) -> float:
 class Refitter:
     """A hypothesis with its simulation and Jacobian over `data`, ready to be refitted to other outputs.
 
-    `X0` (n_segments, nx): start states over `data`. `noise` (ny,): weights.
+    `X0` (n_segments, nx): start states over `data`. `noise` (ny,): weights. `known`: how many of the last segments
+    start from states that are known, and not refitted.
     """
 
     hypothesis: Hypothesis
@@ -46,6 +47,7 @@ class Refitter:
     X0: np.ndarray
     noise: np.ndarray
     ranges: np.ndarray
+    known: int = 0
 
     def __post_init__(self):
         self.model, self.theta = self.hypothesis.fit.model, self.hypothesis.fit.theta
@@ -53,6 +55,9 @@ class Refitter:
         self.bounds = self.model.bounds(self.data.sample_time)
         self.J: Jacobian = jacobian(self.model, self.theta, self.X0, self.data, self.noise, self.Y, self.ranges,
                                     bounds=self.bounds)
+        ny = self.Y.shape[1]
+        for a, b in self.data.segments[len(self.data.segments) - self.known:, :2]:
+            self.J.S[int(a) * ny:int(b) * ny] = 0.0
 
     def refit(self, target, steps: int = 2) -> np.ndarray:
         """Outputs (N, ny) of the refit to `target` (N, ny) after at most `steps` steps for each damping."""

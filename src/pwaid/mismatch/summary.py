@@ -109,9 +109,16 @@ def verdict_sentence(c: dict) -> str:
                          "explains it.")
     if verdict == "parameters_only":
         moved = _moved(c)
-        return _sentence(f"no physics is missing: {f'with {moved}' if moved else 'with refitted parameters'} the "
-                         f"simulator matches ({size}).")
-    return _sentence(f"nothing is missing above the noise ({size}).")
+        with_them = f"with {moved}" if moved else "with refitted parameters"
+        return _sentence(f"no missing physics is seen: {with_them} the simulator matches{_remains(ratio, size)}")
+    return _sentence(f"nothing is missing above the noise{_remains(ratio, size)}")
+
+
+def _remains(ratio: float, size: str) -> str:
+    """What is left when nothing was named; past the noise it is a disturbance, by the rule of the decision."""
+    if ratio > 1.3:
+        return f" up to a disturbance that past inputs do not predict: {size}."
+    return f" ({size})."
 
 
 # ------------------------------------------------------------------ the other paragraphs
