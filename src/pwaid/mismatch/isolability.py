@@ -61,6 +61,12 @@ def nested(a: Hypothesis, b: Hypothesis) -> bool:
     return inside(a, b) or inside(b, a)
 
 
+def _adds_to(large: Hypothesis, small: Hypothesis) -> bool:
+    """Whether `large` is `small` with more laws, each of which can be turned down until it vanishes."""
+    more = [e for e in large.located if (e.effect.id, e.place.channel) not in _laws(small)]
+    return _laws(small) < _laws(large) and all(e.effect.quantities for e in more)
+
+
 def leading(null: Hypothesis, members: Sequence[Hypothesis], others: Sequence[Hypothesis],
             most: int = MOST) -> tuple[Hypothesis, ...]:
     """The null, the named ones, then the best of the others, one per set of laws."""
@@ -101,7 +107,12 @@ def isolability(problem: Problem, hypotheses: Sequence[Hypothesis], jobs: int = 
     segments = len(data.segments)
     refitters = run_jobs(lambda h: Refitter(h, data, h.fit.X0[:segments], noise, problem.ranges), hypotheses, jobs)
 
+    def error(x: Refitter, y: Refitter) -> float:
+        if y is x or _adds_to(y.hypothesis, x.hypothesis):
+            return 1.0
+        return float(np.hypot(1.0, times_noise(x.Y, y.refit(x.Y), noise)))
+
     def row(x: Refitter) -> list[float]:
-        return [1.0 if y is x else float(np.hypot(1.0, times_noise(x.Y, y.refit(x.Y), noise))) for y in refitters]
+        return [error(x, y) for y in refitters]
 
     return Isolability(tuple(hypotheses), np.array(run_jobs(row, refitters, jobs)))

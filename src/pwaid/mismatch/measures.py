@@ -58,8 +58,8 @@ def share_of_explainable(rmse: float, before: float, floor: float) -> float:
 def fit_table(data, output_names, simulations: dict[str, np.ndarray], floor=None) -> dict:
     """{recording: {output: {stage: measures}}} for simulated outputs (N, ny) by stage.
 
-    With `floor` (ny,), every stage also holds the share of the explainable error of the stage ``refitted`` that it
-    removes in that recording and output.
+    With `floor` (ny,), the stage ``repaired`` also holds the share of the explainable error of the stage ``refitted``
+    that it removes in that recording and output.
     """
     table: dict = {}
     for name, (a, b) in zip(data.names, data.recordings, strict=True):
@@ -68,6 +68,6 @@ def fit_table(data, output_names, simulations: dict[str, np.ndarray], floor=None
             for k, output in enumerate(output_names)}
         for k, output in enumerate(output_names if floor is not None else ()):
             stages = table[name][output]
-            for m in stages.values():
-                m["share_explained"] = share_of_explainable(m["rmse"], stages["refitted"]["rmse"], float(floor[k]))
+            stages["repaired"]["share_explained"] = share_of_explainable(
+                stages["repaired"]["rmse"], stages["refitted"]["rmse"], float(floor[k]))
     return table

@@ -53,7 +53,8 @@ def isolability_matrix(report):
             value = told.matrix[i, j]
             text = "–" if i == j else f"{value:.2f}" if value < 10 else f"{value:.0f}"
             weight = "bold" if i != j and value < alike else "normal"
-            ax.text(j, i, text, ha="center", va="center", fontsize=9, weight=weight)
+            ax.text(j, i, text, ha="center", va="center", fontsize=9, weight=weight,
+                    color="white" if value > 40 else "black")
     ax.set_xticks(range(n), [_readable(label, 20) for label in told.labels], fontsize=7, rotation=30, ha="right")
     ax.set_yticks(range(n), [_readable(label, 34) for label in told.labels], fontsize=8)
     ax.set_xlabel(f"refitted law (bold: below {alike:g} times the noise)")
