@@ -11,9 +11,9 @@ from pwaid.mismatch.lawcurve import law_over
 from pwaid.mismatch.pictures_choice import candidate_bars, experiment_picture, isolability_matrix
 from pwaid.mismatch.pictures_where import AFTER, BEFORE, axis_label, mismatch_over_time_and_frequency, shown_recording
 from pwaid.mismatch.units import combine
-from pwaid.plotting import figure_to_png, new_figure
+from pwaid.plotting import figure_to_png, new_figure, plot_map
 
-__all__ = ["overview", "pictures", "unknown_law"]
+__all__ = ["overview", "pair_map", "pictures", "unknown_law"]
 
 SWINGS = 30  # crossings of the mean that can still be told apart in one panel
 
@@ -33,6 +33,10 @@ def _figures(report):
         yield ("What is missing, over the responsible variable",
                "The input that would have to push on the refitted simulator, over the variable it goes with; hinges "
                "where the learned map bends.", unknown_law(report))
+    if report.location.pair is not None:
+        yield ("What is missing, over two variables",
+               "The learned map of the unknown input over the pair that carries it, less linear parts of the others; "
+               "lines: hinges.", pair_map(report))
     yield ("The mismatch over time and frequency",
            f"Held-out recording {name}. Left: share of the squared error before the repair, per stretch of time. "
            "Right: spectrum of the residual and of the noise floor.", mismatch_over_time_and_frequency(report))
@@ -126,6 +130,17 @@ def unknown_law(report):
     ax.set_ylabel(f"unknown input at {where.channel}{_unit(report, where.channel)}")
     ax.grid(alpha=0.25)
     ax.legend(fontsize=8)
+    return fig
+
+
+def pair_map(report):
+    """The map over two variables with its hinges."""
+    where = report.location
+    fig, ax = new_figure(1, 1, (7.0, 4.8))
+    a, b = where.pair.variables
+    unit = f"unknown input at {where.channel}{_unit(report, where.channel)}"
+    plot_map(where.pair.map, ax, labels=(a, b))
+    ax.set_title(f"{unit}; held-out gain {100 * where.pair.gain:.0f} %", fontsize=9)
     return fig
 
 

@@ -241,6 +241,11 @@ def _location(location: Location, best, screened) -> dict:
             "smeared_over_s": location.unknown.rise,
             "breakpoints": [{"position": b.position, "low": b.low, "high": b.high, "jump": b.jump, "size": b.size}
                             for b in shape.bends]}
+        pair = location.pair
+        if pair is not None:
+            found["unknown_input"]["pair"] = {
+                "variables": list(pair.variables), "heldout_gain": pair.gain, "threshold": pair.threshold,
+                "ranking": [{"variables": list(v), "gain": g} for v, g in pair.ranking.items()]}
     return found
 
 
