@@ -12,9 +12,10 @@ from pwaid.mismatch.decide import Decision
 from pwaid.mismatch.effects.registry import CATALOGUE
 from pwaid.mismatch.hypotheses import Hypothesis
 from pwaid.mismatch.inputs import Proposal, proposals
-from pwaid.mismatch.isolability import ALIKE, Isolability, nested
+from pwaid.mismatch.isolability import ALIKE, Isolability, nested, window
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.refit import Refitter, noise_of, times_noise
+from pwaid.mismatch.summary import number
 
 __all__ = ["Experiment", "next_experiment", "plan_experiment", "rivals"]
 
@@ -115,12 +116,11 @@ def plan_experiment(problem: Problem, pair: tuple[Hypothesis, Hypothesis], units
         return Experiment(best, pair, raw, times_noise(pair[0].fit.Y, pair[1].fit.Y, noise),
                           tuple((p.words, d) for d, p, _ in tried[1:4]), _clock(best, train), *Y)
     finals = []
+    short, rows = window(problem, pair)
+    starts = np.vstack([pair[1].fit.X0[:len(short.segments)], _start(pair)])
     for _, p, (first, _) in tried[:FINALISTS]:
-        both = _combined(train, p.U, ny)
-        second = Refitter(pair[1], both, np.vstack([pair[1].fit.X0, _start(pair)]), noise, problem.ranges,
-                          known=1)
-        target = np.vstack([pair[0].fit.Y, first])
-        predicted = second.refit(target)[len(train.U):]
+        second = Refitter(pair[1], _combined(short, p.U, ny), starts, noise, problem.ranges, known=1)
+        predicted = second.refit(np.vstack([pair[0].fit.Y[rows], first]))[len(rows):]
         finals.append((times_noise(first, predicted, noise), p, first, predicted))
     finals.sort(key=lambda item: -item[0])
     best, present = finals[0], _present(problem, pair, noise, known)
@@ -170,7 +170,7 @@ def _proposal(plan: Experiment) -> str:
         return (f"No input within the recorded range separates {a} from {b} (the best, {plan.proposal.words}: "
                 f"{_times(plan.predicted)} times the noise); go beyond the range or lower the noise.")
     return (f"Best of the inputs simulated, within the recorded range: {plan.proposal.words}, "
-            f"{plan.proposal.duration:.3g} s long: the predictions of {a} and {b} would differ by "
+            f"{number(plan.proposal.duration)} s long: the predictions of {a} and {b} would differ by "
             f"{_times(plan.predicted)} times the noise; in the present recordings {_times(plan.present)} times.")
 
 

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pwaid.mismatch.dataset import Dataset
+from pwaid.mismatch.summary import number
 
 __all__ = ["Proposal", "proposals"]
 
@@ -27,10 +28,6 @@ class Proposal:
     duration: float
 
 
-def _short(x: float) -> str:
-    return f"{x:.3g}"
-
-
 @dataclass(frozen=True)
 class _Channel:
     """One input channel: where its recorded range has its middle, how far it reaches, and its unit."""
@@ -42,8 +39,8 @@ class _Channel:
     reach: float
 
     def size(self, amplitude: float) -> str:
-        text = f"{_short(amplitude)} {self.unit}".rstrip()
-        return text if self.centre == 0.0 else f"{text} around {_short(self.centre)} {self.unit}".rstrip()
+        text = f"{number(amplitude)} {self.unit}".rstrip()
+        return text if self.centre == 0.0 else f"{text} around {number(self.centre)} {self.unit}".rstrip()
 
 
 def _channel(data: Dataset, j: int, name: str, unit: str) -> _Channel | None:
@@ -77,16 +74,16 @@ def _shapes(t: np.ndarray, top: float):
         period = length / cycles
         s = np.mod(t / period + 0.25, 1.0)
         yield ("slow triangle" if cycles == 2 else "triangle", "a triangle of {size} and a period of "
-               f"{_short(period)} s", period, 1.0 - 4.0 * np.abs(s - 0.5))
+               f"{number(period)} s", period, 1.0 - 4.0 * np.abs(s - 0.5))
     lines = np.unique(np.round(np.linspace(1, max(2.0, top * length / 2), 10))).astype(int)
     angle = -np.pi * np.arange(len(lines)) ** 2 / len(lines)  # Schroeder's phases keep the crest low
     wave = np.sum(np.cos(2 * np.pi * np.outer(t, lines) * 2 / length + angle), axis=1)
     wave = wave / np.max(np.abs(wave))
-    yield ("two amplitudes of one multisine", f"a multisine up to {_short(lines[-1] * 2 / length)} Hz, first at half "
+    yield ("two amplitudes of one multisine", f"a multisine up to {number(lines[-1] * 2 / length)} Hz, first at half "
            "amplitude, then with {size}", length / 2, wave * np.where(t < length / 2, 0.5, 1.0))
-    yield ("step, hold, reverse", "steps of {size}, held and reversed every " f"{_short(length / 4)} s", length / 2,
+    yield ("step, hold, reverse", "steps of {size}, held and reversed every " f"{number(length / 4)} s", length / 2,
            np.where(np.mod(t, length / 2) < length / 4, 1.0, -1.0))
-    yield ("coast down", "{size} for " f"{_short(length / 5)} s, then nothing: let it coast", None,
+    yield ("coast down", "{size} for " f"{number(length / 5)} s, then nothing: let it coast", None,
            np.where(t < length / 5, 1.0, 0.0))
 
 
@@ -126,6 +123,6 @@ def proposals(data: Dataset, names, units, most: int = SAMPLES) -> list[Proposal
             add(f"recorded input at {word} amplitude", f"the recorded input at {word} amplitude ({c.size(size)})",
                 c.centre + factor * swing, size, None, recorded)
         bias = 0.4 * c.reach
-        add("bias and recorded input", f"the recorded input at half amplitude on a constant {_short(c.centre + bias)} "
+        add("bias and recorded input", f"the recorded input at half amplitude on a constant {number(c.centre + bias)} "
             f"{c.unit}".rstrip(), c.centre + 0.5 * swing + bias, 0.5 * float(np.max(np.abs(swing))), None, recorded)
     return found

@@ -18,7 +18,7 @@ from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.refit import Refitter, noise_of, times_noise
 from pwaid.mismatch.screen import run_jobs
 
-__all__ = ["ALIKE", "Isolability", "isolability", "leading", "nested"]
+__all__ = ["ALIKE", "Isolability", "inside", "isolability", "leading", "nested", "window"]
 
 ALIKE = 1.5
 MOST = 7
@@ -53,11 +53,14 @@ def _laws(h: Hypothesis) -> set[tuple[str, str]]:
     return {(e.effect.id, e.place.channel) for e in h.located}
 
 
+def inside(small: Hypothesis, large: Hypothesis) -> bool:
+    """Whether `large` is `small` plus something: more laws, or a wider law at the same place."""
+    wider = _laws(large) | {(i, e.place.channel) for e in large.located for i in e.effect.contains}
+    return _laws(small) <= wider
+
+
 def nested(a: Hypothesis, b: Hypothesis) -> bool:
-    """Whether one hypothesis is the other plus something: more laws, a wider law, or the same law."""
-    def inside(small, large):
-        wider = _laws(large) | {(i, e.place.channel) for e in large.located for i in e.effect.contains}
-        return _laws(small) <= wider
+    """Whether one hypothesis is the other plus something."""
     return inside(a, b) or inside(b, a)
 
 
@@ -78,9 +81,14 @@ def leading(null: Hypothesis, members: Sequence[Hypothesis], others: Sequence[Hy
     return tuple(chosen)
 
 
-def _window(problem: Problem, samples: int) -> tuple[Dataset, np.ndarray]:
-    """A copy of the training data cut to about `samples`, and the rows kept: the head of every segment."""
+def window(problem: Problem, hypotheses: Sequence[Hypothesis]) -> tuple[Dataset, np.ndarray]:
+    """The training data cut so that a simulation stays below a few milliseconds, and the rows kept.
+
+    What is too long is shortened to the head of every segment.
+    """
     data = problem.train
+    fast = problem.plant.rhs is not None
+    samples = SAMPLES // max(h.fit.model.substeps for h in hypotheses) if fast else SLOW_SAMPLES
     if len(data.U) <= samples:
         return data, np.arange(len(data.U))
     each = max(20, samples // len(data.segments))
@@ -96,14 +104,9 @@ def _window(problem: Problem, samples: int) -> tuple[Dataset, np.ndarray]:
 
 
 def isolability(problem: Problem, hypotheses: Sequence[Hypothesis], jobs: int = 1) -> Isolability:
-    """Compare every hypothesis with what every other one simulates.
-
-    Long recordings are cut to the head of every segment, so that a simulation stays below a few milliseconds.
-    """
+    """Compare every hypothesis with what every other one simulates, on the data of `window`."""
     noise = noise_of(problem)
-    fast = problem.plant.rhs is not None
-    substeps = max(h.fit.model.substeps for h in hypotheses)
-    data, _ = _window(problem, SAMPLES // substeps if fast else SLOW_SAMPLES)
+    data, _ = window(problem, hypotheses)
     segments = len(data.segments)
     refitters = run_jobs(lambda h: Refitter(h, data, h.fit.X0[:segments], noise, problem.ranges), hypotheses, jobs)
 

@@ -152,4 +152,4 @@ def _unit(report, channel: str) -> str:
         unit = report.content["units"]["inputs"][signal]
     else:
         unit = combine({}, (dict(s.force_units.get(plant.state_names.index(signal), {})), 1))
-    return f" [{unit}]" if unit else ""
+    return f" [{unit}]" if unit not in ("", "1") else ""

@@ -15,7 +15,7 @@ from pwaid.mismatch.decide import Decision, Thresholds
 from pwaid.mismatch.experiment import Experiment, next_experiment, plan_experiment, rivals
 from pwaid.mismatch.hypotheses import Hypothesis, share
 from pwaid.mismatch.intervals import parameter_intervals
-from pwaid.mismatch.isolability import Isolability, isolability, leading, nested
+from pwaid.mismatch.isolability import Isolability, inside, isolability, leading
 from pwaid.mismatch.locate import Location
 from pwaid.mismatch.measures import fit_table
 from pwaid.mismatch.nullfit import Problem
@@ -140,7 +140,7 @@ def _shares(problem, h: Hypothesis, singles) -> list[float]:
 
 
 def _candidates(problem, hypotheses, decision: Decision, output_names):
-    """One row per fitted candidate; `wider`: it contains the answer, or is contained in it, and is not the answer."""
+    """One row per fitted candidate; `wider`: it contains the answer and is not the answer."""
     rows = []
     ok = {id(h) for h in decision.passed}
     for h in hypotheses:
@@ -149,7 +149,7 @@ def _candidates(problem, hypotheses, decision: Decision, output_names):
                      "heldout_rmse": dict(zip(output_names, map(float, rmse), strict=True)),
                      "share_explained": h.share, "screen_score": h.score, "parameters": h.fit.model.size,
                      "passed": id(h) in ok,
-                     "wider": any(h is not m and nested(h, m) for m in decision.members)})
+                     "wider": any(h is not m and inside(m, h) for m in decision.members)})
     return sorted(rows, key=lambda r: -r["share_explained"])
 
 

@@ -12,8 +12,9 @@ ROWS = 6
 
 
 def number(x: float | None, digits: int = 3) -> str:
-    """A short decimal."""
-    return "n/a" if x is None else f"{x:.{digits}g}"
+    """A short decimal, without an exponent up to a million."""
+    text = "n/a" if x is None else f"{x:.{digits}g}"
+    return f"{x:.0f}" if "e+" in text and abs(x) < 1e6 else text
 
 
 def _digits(value: float, width: float) -> int:
@@ -29,8 +30,14 @@ def with_interval(value: float | None, low: float | None, high: float | None) ->
     return f"{number(value, digits)} ({number(low, digits)} to {number(high, digits)})"
 
 
+def _plain(unit: str) -> str:
+    """The unit, nothing for a pure number."""
+    return "" if unit == "1" else unit
+
+
 def plus_minus(value: float | None, low: float | None, high: float | None, unit: str = "") -> str:
     """``0.450 ± 0.010 N m`` where the interval is about symmetric, else value and interval."""
+    unit = _plain(unit)
     if value is None or low is None or high is None:
         return f"{number(value)} {unit}".rstrip()
     half = 0.5 * (high - low)
@@ -152,8 +159,8 @@ def _runners(c: dict) -> list[dict]:
 
 def _where(c: dict) -> list[str]:
     where = c["location"]
-    spots = ", ".join(f"{a:.3g}-{b:.3g} s" for a, b in where["intervals_s"][:4])
-    bands = ", ".join(f"{a:.3g}-{b:.3g} Hz" for a, b in where["bands_hz"])
+    spots = ", ".join(f"{number(a)}-{number(b)} s" for a, b in where["intervals_s"][:4])
+    bands = ", ".join(f"{number(a)}-{number(b)} Hz" for a, b in where["bands_hz"])
     lines = [f"Where: most of the mismatch lies in {spots} of the first training recording, at {bands}."
              if spots or bands else ""]
     seen = where.get("unknown_input")
@@ -186,7 +193,7 @@ def _what(c: dict) -> list[str]:
     """Laws with parameters and intervals, then the nominal parameters."""
     lines = []
     for e in c["effects"]:
-        values = ", ".join(f"{name} = {with_interval(v['value'], v['low'], v['high'])} {v['unit']}".rstrip()
+        values = ", ".join(f"{name} = {with_interval(v['value'], v['low'], v['high'])} {_plain(v['unit'])}".rstrip()
                            for name, v in e["parameters"].items())
         note = f", {e['where']['note']}" if e["where"].get("note") else ""
         lines.append(f"Law: {e['id'].replace('_', ' ')} at {e['where']['kind']} {e['where']['signal']}{note}: "
