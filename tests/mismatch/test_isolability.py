@@ -19,7 +19,7 @@ from pwaid.mismatch.model import Model
 from pwaid.mismatch.nullfit import prepare
 from pwaid.mismatch.plant import as_plant
 from pwaid.mismatch.refit import Refitter, noise_of, times_noise
-from pwaid.mismatch.screen import locate_effects
+from pwaid.mismatch.screen import locate_effects, screen
 
 IDS = ("coulomb_friction", "quadratic_drag", "cubic_stiffness", "stribeck_friction")
 
@@ -106,7 +106,7 @@ def test_one_sided_inputs_are_proposed_around_their_middle():
 
 
 def test_the_chosen_input_separates_best_among_the_finalists(problem, fitted):
-    pair = rivals(fitted["null"], decision("named", fitted["coulomb_friction"]), list(fitted.values()))
+    pair = rivals(problem, fitted["null"], decision("named", fitted["coulomb_friction"]), list(fitted.values()))
     assert pair[0] is fitted["coulomb_friction"]
     assert pair[1].ids in (("quadratic_drag",), ("cubic_stiffness",))
     plan = plan_experiment(problem, pair, ["N"])
@@ -118,8 +118,18 @@ def test_the_chosen_input_separates_best_among_the_finalists(problem, fitted):
     assert "a slow triangle with reversals" in text  # the catalogue's reason
 
 
-def test_rivals_of_a_set_are_its_first_two(fitted):
-    a, b = fitted["quadratic_drag"], fitted["coulomb_friction"]
-    assert rivals(fitted["null"], decision("one_of", a, b), []) == (a, b)
-    assert rivals(fitted["null"], decision("unexplained"), [b]) == (b, fitted["null"])
-    assert rivals(fitted["null"], decision("agreement"), []) is None
+def test_rivals_of_a_set_are_its_first_two(problem, fitted):
+    a, b, null = fitted["quadratic_drag"], fitted["coulomb_friction"], fitted["null"]
+    assert rivals(problem, null, decision("one_of", a, b), []) == (a, b)
+    assert rivals(problem, null, decision("unexplained"), [b]) == (b, null)
+    assert rivals(problem, null, decision("agreement"), []) is None
+
+
+def test_a_rival_is_fitted_where_only_wider_laws_were(problem, fitted):
+    best, null = fitted["coulomb_friction"], fitted["null"]
+    laws = locate_effects([*effect_by_id("stribeck_friction"), *effect_by_id("actuator_deadzone")], problem.structure)
+    pair = rivals(problem, null, decision("named", best), [fitted["stribeck_friction"]],
+                  screen(problem, problem.null, laws))
+    assert pair[0] is best
+    assert pair[1].ids == ("actuator_deadzone",)
+    assert pair[1].train_error < null.train_error

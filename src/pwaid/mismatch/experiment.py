@@ -10,11 +10,14 @@ import numpy as np
 from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.decide import Decision
 from pwaid.mismatch.effects.registry import CATALOGUE
-from pwaid.mismatch.hypotheses import Hypothesis
+from pwaid.mismatch.fit import fit_model
+from pwaid.mismatch.hypotheses import Hypothesis, hypothesis_of
 from pwaid.mismatch.inputs import Proposal, proposals
 from pwaid.mismatch.isolability import ALIKE, Isolability, nested, window
+from pwaid.mismatch.model import Model
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.refit import Refitter, noise_of, times_noise
+from pwaid.mismatch.screen import Screened
 from pwaid.mismatch.summary import number
 
 __all__ = ["Experiment", "next_experiment", "plan_experiment", "rivals"]
@@ -22,6 +25,7 @@ __all__ = ["Experiment", "next_experiment", "plan_experiment", "rivals"]
 FINALISTS = 3
 SAFE = 1.5  # a predicted output may leave the recorded range by this factor of it
 SLOW_SAMPLES = 300
+ITERATIONS = 6
 
 
 @dataclass(frozen=True)
@@ -51,10 +55,12 @@ class Experiment:
                 "others": [{"input": words, "predicted_difference": d} for words, d in self.ranking]}
 
 
-def rivals(null: Hypothesis, decision: Decision, others: Sequence[Hypothesis]) -> tuple[Hypothesis, Hypothesis] | None:
+def rivals(problem: Problem, null: Hypothesis, decision: Decision, others: Sequence[Hypothesis],
+           screened: Sequence[Screened] = ()) -> tuple[Hypothesis, Hypothesis] | None:
     """The two hypotheses that the next experiment should separate.
 
-    The first two members of a set; the named one and its best rival of another law; else null and best candidate.
+    The first two members of a set; the named one and its best rival of another law, fitted briefly from the screen
+    where only laws that contain the named one were fitted; else null and best candidate.
     """
     if len(decision.members) > 1:
         return decision.members[0], decision.members[1]
@@ -62,8 +68,26 @@ def rivals(null: Hypothesis, decision: Decision, others: Sequence[Hypothesis]) -
     if decision.members:
         best = decision.members[0]
         rival = next((h for h in ranked if not nested(h, best)), None)
-        return best, rival or null
+        return best, rival or _screened_rival(problem, null, best, screened) or null
     return (ranked[0], null) if ranked else None
+
+
+def _screened_rival(problem: Problem, null: Hypothesis, best: Hypothesis, screened) -> Hypothesis | None:
+    """The best screened law that neither contains nor completes the named one, in the place of its last law."""
+    if problem.plant.rhs is None:
+        return None
+    kept = best.located[:-1]
+    for s in screened:
+        e = s.located
+        taken = {(b.effect.id, b.place.channel) for b in best.located}
+        wider = any(b.effect.id in e.effect.contains or e.effect.id in b.effect.contains for b in best.located)
+        if s.score > 0 and not wider and (e.effect.id, e.place.channel) not in taken and s.starts:
+            model = Model(problem.settings, (*kept, e))
+            held = best.fit.theta[null.fit.model.np:null.fit.model.np + sum(b.size for b in kept)]
+            theta = np.concatenate([null.fit.theta[:null.fit.model.np], held, s.starts[0]])
+            fit = fit_model(model, problem.train, problem.sigma, theta, null.fit.X0, problem.ranges, ITERATIONS, 1e-2)
+            return hypothesis_of(problem, fit, s.score)
+    return None
 
 
 def _combined(data: Dataset, U: np.ndarray, ny: int) -> Dataset:
@@ -160,7 +184,7 @@ def _reason(decision: Decision) -> str:
 
 
 def _times(x: float) -> str:
-    return f"{x:.0f}" if x >= 10 else f"{x:.1f}"
+    return "over 1000" if x > 1000 else f"{x:.0f}" if x >= 10 else f"{x:.1f}"
 
 
 def _proposal(plan: Experiment) -> str:

@@ -192,7 +192,7 @@ def build_report(problem: Problem, null, singles, pairs, screened, decision: Dec
     limits = thresholds or Thresholds()
     units, others = _units(problem), [*singles, *pairs]
     told = isolability(problem, leading(null, decision.members, others), jobs)
-    pair = rivals(null, decision, others)
+    pair = rivals(problem, null, decision, others, screened)
     plan = plan_experiment(problem, pair, list(units["inputs"].values()), told) if pair else None
     stages = {"nominal": problem.nominal_test.Y, "refitted": null.test.Y, "repaired": best.test.Y}
     content = {
