@@ -20,7 +20,7 @@ from pwaid.mismatch.locate import Location
 from pwaid.mismatch.measures import fit_table
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.repaired import repaired_source, repaired_system
-from pwaid.mismatch.summary import summary_text, with_interval
+from pwaid.mismatch.summary import interval, summary_text
 from pwaid.mismatch.units import combine
 
 __all__ = ["SCHEMA", "Report", "build_report", "write_report"]
@@ -276,10 +276,10 @@ def write_report(report: Report, out: Path, simulator_source: str) -> None:
     comments = {}
     for k, e in enumerate(report.effects[:len(report.best.located)]):
         for name, v in e["parameters"].items():
-            said = f"90 %: {with_interval(v['value'], v['low'], v['high'])}"
+            said = f"90 %: {interval(v['value'], v['low'], v['high'])}"
             comments[f"{k}.{name}"] = f"{v['unit']}, {said}" if v["unit"] else said
     for name, v in report.content["parameters"].items():
-        comments[name] = f"nominal {v['nominal']:.6g}, 90 %: {with_interval(v['refitted'], v['low'], v['high'])}"
+        comments[name] = f"nominal {v['nominal']:.6g}, 90 %: {interval(v['refitted'], v['low'], v['high'])}"
     from pwaid.mismatch.html import html_page
 
     files = {"report.json": json.dumps(report.content, indent=1, allow_nan=False),

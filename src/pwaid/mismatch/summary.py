@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import textwrap
 
-__all__ = ["number", "plus_minus", "summary_text", "verdict_sentence", "with_interval"]
+__all__ = ["interval", "number", "plus_minus", "summary_text", "verdict_sentence", "with_interval"]
 
 WIDTH = 112
 ROWS = 6
@@ -17,17 +17,21 @@ def number(x: float | None, digits: int = 3) -> str:
     return f"{x:.0f}" if "e+" in text and abs(x) < 1e6 else text
 
 
-def _digits(value: float, width: float) -> int:
+def _digits(value: float | None, low: float | None, high: float | None) -> int:
     """Digits that an interval of this width supports, at least three."""
+    width = 0.0 if low is None or high is None else high - low
     return min(8, max(3, 2 + math.ceil(math.log10(abs(value) / width)))) if width > 0 and value else 3
+
+
+def interval(value: float | None, low: float | None, high: float | None) -> str:
+    """``0.1199 to 0.12003``, with as many digits as its width beside the value supports (at least three)."""
+    digits = _digits(value, low, high)
+    return f"{number(low, digits)} to {number(high, digits)}"
 
 
 def with_interval(value: float | None, low: float | None, high: float | None) -> str:
     """A value and its interval, with as many digits as the interval's width supports (at least three)."""
-    digits = 3
-    if value is not None and low is not None and high is not None:
-        digits = _digits(value, high - low)
-    return f"{number(value, digits)} ({number(low, digits)} to {number(high, digits)})"
+    return f"{number(value, _digits(value, low, high))} ({interval(value, low, high)})"
 
 
 def _plain(unit: str) -> str:
