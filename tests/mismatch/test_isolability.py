@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -133,3 +134,19 @@ def test_a_rival_is_fitted_where_only_wider_laws_were(problem, fitted):
     assert pair[0] is best
     assert pair[1].ids == ("actuator_deadzone",)
     assert pair[1].train_error < null.train_error
+
+
+def test_a_simulator_in_the_plain_loop_is_compared_too(problem, fitted):
+    """Fewer samples, the same answer: no parameters imitate friction."""
+    plant = replace(problem.plant, rhs=None, out=None)
+    slow = replace(problem, plant=plant, settings=replace(problem.settings, plant=plant))
+    pair = []
+    for name in ("coulomb_friction", "null"):
+        h = fitted[name]
+        model = Model(slow.settings, h.located, h.fit.model.substeps)
+        pair.append(replace(h, fit=replace(h.fit, model=model)))
+    told = isolability(slow, pair)
+    assert told.matrix[0, 1] > 5
+    plan = plan_experiment(slow, tuple(pair), ["N"])
+    assert plan.predicted > 5
+    assert len(plan.time) <= 300

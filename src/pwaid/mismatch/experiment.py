@@ -161,8 +161,10 @@ def _present(problem, pair, noise, known: Isolability | None) -> float:
     if known is not None and all(any(h is k for k in known.hypotheses) for h in pair):
         i, j = (next(n for n, k in enumerate(known.hypotheses) if k is h) for h in pair)
         return float(np.sqrt(max(known.matrix[i, j] ** 2 - 1.0, 0.0)))
-    second = Refitter(pair[1], problem.train, pair[1].fit.X0, noise, problem.ranges)
-    return times_noise(pair[0].fit.Y, second.refit(pair[0].fit.Y), noise)
+    short, rows = window(problem, pair)
+    first, second = pair[0].fit.Y[rows], pair[1]
+    refitted = Refitter(second, short, second.fit.X0[:len(short.segments)], noise, problem.ranges).refit(first)
+    return times_noise(first, refitted, noise)
 
 
 def _reason(decision: Decision) -> str:
