@@ -86,7 +86,8 @@ def _screened_rival(problem: Problem, null: Hypothesis, best: Hypothesis, screen
             held = best.fit.theta[null.fit.model.np:null.fit.model.np + sum(b.size for b in kept)]
             theta = np.concatenate([null.fit.theta[:null.fit.model.np], held, s.starts[0]])
             fit = fit_model(model, problem.train, problem.sigma, theta, null.fit.X0, problem.ranges, ITERATIONS, 1e-2)
-            return hypothesis_of(problem, fit, s.score)
+            rival = hypothesis_of(problem, fit, s.score)
+            return rival if rival.train_error < null.train_error else None  # a fit gone astray tells nothing
     return None
 
 
