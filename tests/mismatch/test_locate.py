@@ -10,8 +10,10 @@ from tests_support import TRUE, oscillator
 
 from pwaid.mismatch import explain
 from pwaid.mismatch.effects.registry import effect_by_id
+from pwaid.mismatch.html import html_page
 from pwaid.mismatch.lawcurve import law_over
 from pwaid.mismatch.pictures import pictures
+from pwaid.mismatch.pictures_where import error_shares
 from pwaid.mismatch.smoother import linearise, unknown_inputs
 from pwaid.mismatch.summary import summary_text
 from pwaid.recording import Recording
@@ -61,9 +63,58 @@ def test_named_friction_jumps_where_the_speed_is_zero(friction):
     assert friction.content["correction"] is None
 
 
-def test_picture_and_law_curve(friction):
-    titles = [title for title, _ in pictures(friction)]
-    assert "Unknown input over the responsible variable" in titles
+def test_every_picture_of_the_page_is_drawn(friction, unnamed):
+    drawn = pictures(friction)
+    assert [title for title, _, _ in drawn] == [
+        "Recording against simulation, before and after", "What is missing, over the responsible variable",
+        "The mismatch over time and frequency", "Candidates", "Which candidates these recordings tell apart",
+        "Next experiment"]
+    assert all(png.startswith(b"\x89PNG") for _, _, png in drawn)
+    assert len(pictures(unnamed)) >= 4
+
+
+def test_page_opens_with_the_verdict_in_words(friction):
+    page = html_page(friction)
+    assert "<h1>Coulomb friction of 0." in page
+    assert "is missing from the simulator.</h1>" in page
+    assert page.count("data:image/png;base64,") == 6
+    assert "http" not in page  # self-contained
+
+
+def test_summary_follows_the_order_an_engineer_asks(friction):
+    text = friction.summary
+    marks = ["NAMED. Coulomb friction of", "It explains", "Where:", "Law: coulomb friction", "Error on held-out",
+             "Next: To be surer of coulomb_friction", "hypotheses tried"]
+    places = [text.index(m) for m in marks]
+    assert places == sorted(places)
+    assert len(text.splitlines()) < 40
+    assert max(map(len, text.splitlines())) <= 112
+
+
+def test_report_says_what_can_be_told_apart_and_what_to_record(friction):
+    c = friction.content
+    n = len(c["isolability"]["labels"])
+    assert np.shape(c["isolability"]["matrix"]) == (n, n)
+    plan = c["experiment"]
+    assert plan["between"][0] == "coulomb_friction at state:v"
+    assert plan["input"] in c["next_experiment"]
+    assert plan["between"][1] == "parameters only"  # the other candidate fits worse than no law at all
+    assert plan["predicted_difference"] > plan["present_difference"] > 0
+    stages = c["fit"]["r3.csv"]["x"]
+    assert stages["repaired"]["share_explained"] == pytest.approx(c["share_explained"], abs=0.01)
+    assert stages["refitted"]["whiteness_p"] < 1e-3
+
+
+def test_shares_over_time_sum_to_what_is_left(friction):
+    p = friction.problem
+    before, after = (p.test.Y[:, 0] - Y[:, 0] for Y in (friction.null.test.Y, friction.best.test.Y))
+    edges, shares = error_shares(before, after)
+    assert edges[-1] == len(before)
+    assert shares[0].sum() == pytest.approx(1.0)
+    assert shares[1].sum() == pytest.approx(np.sum(after**2) / np.sum(before**2))
+
+
+def test_law_curve(friction):
     z = np.array([-1.0, -0.1, 0.1, 1.0])
     level = friction.effects[0]["parameters"]["level"]["value"]
     np.testing.assert_allclose(law_over(friction.problem, friction.best, "v", z), -level * np.sign(z), rtol=1e-6)

@@ -75,7 +75,7 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
     evidence = collect(simulator, train, test, free_parameters, units=units, tolerances=tolerances,
                        noise_floor=noise_floor, repeats=repeats, hold=hold, closed_loop=closed_loop, effects=effects,
                        without=without, jobs=jobs, progress=progress, source=source)
-    return conclude(evidence, thresholds, started, progress)
+    return conclude(evidence, thresholds, started, progress, jobs)
 
 
 def collect(simulator, train, test=None, free_parameters=None, *, units=None, tolerances=None, noise_floor=None,
@@ -117,7 +117,7 @@ def collect(simulator, train, test=None, free_parameters=None, *, units=None, to
 
 
 def conclude(evidence: Evidence, thresholds: Thresholds | None = None, started: float | None = None,
-             progress: Callable | None = None) -> Report:
+             progress: Callable | None = None, jobs: int = 1) -> Report:
     """Decide, locate and report on hypotheses that are already fitted; `started` is the clock at the beginning."""
     say = progress or (lambda fraction, text: None)
     problem = evidence.problem
@@ -129,7 +129,7 @@ def conclude(evidence: Evidence, thresholds: Thresholds | None = None, started: 
     fallback = correct(problem, location) if decision.verdict == "unexplained" else None
     seconds = 0.0 if started is None else clock.perf_counter() - started
     report = build_report(problem, evidence.null, evidence.singles, evidence.pairs, evidence.screened, decision,
-                          location, evidence.notes, evidence.tried, seconds, fallback)
+                          location, evidence.notes, evidence.tried, seconds, fallback, jobs, thresholds)
     say(1.0, "done")
     return report
 
@@ -177,7 +177,7 @@ def explain_case(case_dir, out=None, jobs: int = 1, progress: Callable | None = 
     """
     started = clock.perf_counter()
     case = load_case(case_dir)
-    report = conclude(collect_case(case, jobs, progress, without), None, started, progress)
+    report = conclude(collect_case(case, jobs, progress, without), None, started, progress, jobs)
     write_report(report, Path(out) if out is not None else Path(case_dir) / "explained",
                  case.simulator_source)
     return report

@@ -5,6 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from pwaid.mismatch.nullfit import Problem
+from pwaid.mismatch.timing import timing_notes
+from pwaid.mismatch.units import combine
 
 __all__ = ["hygiene"]
 
@@ -17,8 +19,9 @@ def hygiene(problem: Problem, closed_loop: bool = False) -> list[str]:
         y = data.Y[:, k]
         notes += _distinct(name, y)
         notes += _flat(name, y)
-        notes += _sign(name, y, problem.nominal.Y[:, k])
+        notes += _sign(name, y, problem.nominal.Y[:, k], combine({}, (dict(problem.structure.output_units[k]), 1)))
     notes += _swapped(problem)
+    notes += timing_notes(problem)
     for j, name in enumerate(plant.input_names):
         if np.ptp(data.U[:, j]) == 0:
             notes.append(f"input {name} is constant: effects of this channel cannot be seen")
@@ -45,15 +48,32 @@ def _flat(name, y):
     return notes
 
 
-def _sign(name, y, simulated):
+FACTORS = {  # how many times too large or small an output looks when its unit is mistaken
+    1000.0: "a thousand, as between m and mm", 180 / np.pi: "180/pi, as between degrees and radians",
+    30 / np.pi: "30/pi, as between rpm and rad/s", 2 * np.pi: "2 pi, as between revolutions and radians",
+    9.80665: "9.81, as between kgf and N", 3.6: "3.6, as between km/h and m/s", 60.0: "60, as between min and s",
+    1e6: "a million, as between m and um", 100.0: "a hundred, as between m and cm or a share and percent",
+}
+
+
+def _sign(name, y, simulated, unit):
+    """A mirrored output, or one whose size is off by a factor that units explain."""
     a, b = y - y.mean(), simulated - simulated.mean()
     power = np.sqrt((a @ a) * (b @ b))
-    if power > 0 and a @ b / power < -0.6:
+    if not power > 0:
+        return []
+    alike = a @ b / power
+    if alike < -0.6:
         return [f"{name} and its simulation are mirrored: check the sign of a channel"]
-    if (b @ b) > 0:
-        ratio = np.sqrt((a @ a) / (b @ b))
-        if (ratio > 8 or ratio < 0.125) and a @ b / power > 0.6:
-            return [f"{name} is {ratio:.3g} times its simulation in size: check the units"]
+    ratio = float(np.sqrt((a @ a) / (b @ b)))
+    if alike < 0.6 or 0.4 < ratio < 2.5:
+        return []
+    known = next((words for f, words in FACTORS.items() if 0.9 < max(ratio, 1 / ratio) / f < 1.1), None)
+    if known is not None:
+        return [f"{name} is {ratio:.3g} times its simulation in size, about {known}: check the unit"
+                f"{f' ({unit})' if unit else ''}"]
+    if ratio > 8 or ratio < 0.125:
+        return [f"{name} is {ratio:.3g} times its simulation in size: check the units"]
     return []
 
 

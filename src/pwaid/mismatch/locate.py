@@ -1,7 +1,8 @@
 """Where the mismatch sits: in time, in frequency, at which channel, and over which variable.
 
 Time and frequency come from the residual of the refitted simulator, the channel from the likelihood of an
-unknown input there (`pwaid.mismatch.smoother`), the variable from hinges (`pwaid.mismatch.microscope`).
+unknown input there (`pwaid.mismatch.smoother`), the variable from hinges (`pwaid.mismatch.microscope`), two
+variables from a map over both (`pwaid.mismatch.pairmap`).
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import numpy as np
 
 from pwaid.mismatch.microscope import Shape, examine
 from pwaid.mismatch.nullfit import Problem
+from pwaid.mismatch.pairmap import PairShape, examine_pairs
 from pwaid.mismatch.smoother import Linearised, Unknown, linearise, unknown_inputs
 
 __all__ = ["Location", "bands", "candidates", "intervals", "locate"]
@@ -26,7 +28,8 @@ class Location:
     """Channel, responsible variables with breakpoints, memory flag, intervals (s) and bands (Hz).
 
     `alike`: channels that cannot be told apart from `channel`. `unknown`, `shape`, `samples`: the unknown
-    input there, what the microscope saw, and the responsible variable's samples; None where not looked at.
+    input there, what the microscope saw, and the responsible variable's samples; None where not looked at. `pair`:
+    the map over two variables, where one does not suffice.
     """
 
     channel: str = ""
@@ -39,6 +42,7 @@ class Location:
     unknown: Unknown | None = None
     shape: Shape | None = None
     samples: np.ndarray | None = field(default=None, repr=False)
+    pair: PairShape | None = field(default=None, repr=False)
 
 
 def intervals(problem: Problem, share: float = 0.8, pieces: int = 40):
@@ -108,13 +112,24 @@ def locate(problem: Problem, channel: str = "", look: bool = True) -> Location:
     if not found:
         return place
     unknown = next((u for u in found if u.channel == channel), found[0])
+    variables, shape, pair = _look(problem, line, unknown)
+    if not shape.variable and pair is None and unknown is not found[0]:  # nothing to see there: the likeliest place
+        unknown = found[0]
+        variables, shape, pair = _look(problem, line, unknown)
     alike = tuple(u.channel for u in found if u.channel in unknown.same or (
         u is not unknown and abs(u.log_likelihood - unknown.log_likelihood) < ALIKE))
+    named = (shape.variable,) if shape.variable else pair.variables if pair else ()
+    single = named if shape.variable else ()
+    return replace(place, channel=unknown.channel, variables=named, memory=shape.memory, alike=alike, unknown=unknown,
+                   breakpoints={v: [b.position for b in shape.bends] for v in single}, shape=shape,
+                   samples=variables[shape.variable] if single else None, pair=pair)
+
+
+def _look(problem: Problem, line: Linearised, unknown: Unknown):
+    """The candidate variables, what the microscope sees over one of them, and over two."""
     variables = candidates(problem, line, unknown)
     slopes = {n: _rates(z, line) for n, z in variables.items() if n != "t"}
     rise = {n: 2 * unknown.rise * float(np.quantile(np.abs(s), 0.75)) for n, s in slopes.items()}
     shape = examine(unknown.value, unknown.deviation, variables, slopes, rise)
-    named = (shape.variable,) if shape.variable else ()
-    return replace(place, channel=unknown.channel, variables=named, memory=shape.memory, alike=alike, unknown=unknown,
-                   breakpoints={v: [b.position for b in shape.bends] for v in named}, shape=shape,
-                   samples=variables[shape.variable] if named else None)
+    pair = examine_pairs(unknown.value, unknown.deviation, variables, shape.variable, shape.gain)
+    return variables, shape, pair

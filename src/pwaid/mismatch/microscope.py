@@ -12,23 +12,18 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
-from scipy import sparse
 from scipy.optimize import least_squares
 
 from pwaid.delaunay import SimplexMesh
-from pwaid.lambda_max import lambda_max
 from pwaid.lerp import hinge_matrix, interpolation_matrix
-from pwaid.path import lambda_grid, solve_path
-from pwaid.problem import HingeProblem
-from pwaid.solve import solve
+from pwaid.mismatch.mapfit import BLOCKS, heldout_errors, learn_map, linear_block, shifted_copies, time_folds
 
-__all__ = ["Bend", "Curve", "Shape", "examine"]
+__all__ = ["LEAST", "SHIFTS", "Bend", "Curve", "Shape", "examine", "map_blocks"]
 
 POINTS = 33
 RIDGES = (1e-3, 1e-1)
 SHIFTS = 200
 LEAST = 0.1  # a gain below this says nothing, however rare it is among the shifts
-BLOCKS = 20
 
 
 @dataclass(frozen=True)
@@ -82,50 +77,22 @@ def _mesh(z) -> tuple[SimplexMesh, np.ndarray]:
     return SimplexMesh.grid([[low, high]], POINTS), np.clip(z, low, high)
 
 
-def _folds(n: int) -> np.ndarray:
-    """Interleaved blocks of neighbours in five folds."""
-    return (np.arange(n) * BLOCKS // n) % 5
-
-
 def _linear_gain_table(design, penalty, base, D, w, fold):
     """Held-out gain of ridge fits on `design` over fits on `base`, for every column of D (N, m)."""
     best = np.full(D.shape[1], -np.inf)
-    before = _heldout(base, np.zeros((base.shape[1],) * 2), D, w, fold)
+    before = heldout_errors(base, np.zeros((base.shape[1],) * 2), D, w, fold)
     for ridge in RIDGES:
-        after = _heldout(design, ridge * penalty, D, w, fold)
+        after = heldout_errors(design, ridge * penalty, D, w, fold)
         best = np.maximum(best, 1.0 - after / np.maximum(before, 1e-300))
     return best
 
 
-def _heldout(design, penalty, D, w, fold):
-    total = np.zeros(D.shape[1])
-    small = 1e-9 * np.eye(design.shape[1])
-    for f in range(5):
-        train, test = fold != f, fold == f
-        X = design[train]
-        XtW = X.T * w[train]
-        H = XtW @ X
-        scale = np.trace(H) / len(H)
-        b = np.linalg.solve(H + scale * (penalty + small), XtW @ D[train])
-        total += w[test] @ (D[test] - design[test] @ b) ** 2
-    return total
-
-
-def _standard(M):
-    return (M - M.mean(axis=0)) / np.maximum(M.std(axis=0), 1e-300)
-
-
-def _map_blocks(z):
+def map_blocks(z):
     """Interpolation matrix, hinge penalty and mesh of one variable; the hinges in units of the slope."""
     mesh, clipped = _mesh(z)
     A = interpolation_matrix(mesh, clipped[:, None])
     F = hinge_matrix(mesh, "hinge")
     return mesh, A, F
-
-
-def _shifted(d, rng, count):
-    n = len(d)
-    return np.column_stack([d, *(np.roll(d, int(s)) for s in rng.integers(n // 20, n - n // 20, count))])
 
 
 def examine(d, deviation, candidates: Mapping[str, np.ndarray], slopes: Mapping[str, np.ndarray],
@@ -149,12 +116,12 @@ def examine(d, deviation, candidates: Mapping[str, np.ndarray], slopes: Mapping[
     d = np.asarray(d, dtype=float)
     if len(d) < 10 * BLOCKS or not np.ptp(d) > 0:
         return Shape({}, LEAST)
-    fold, D = _folds(len(d)), _shifted(d, rng, SHIFTS)
-    Z = _standard(np.column_stack([candidates[n] for n in names]))
+    fold, D = time_folds(len(d)), shifted_copies(d, rng, SHIFTS)
+    Z = linear_block(candidates, names)
     base = np.column_stack([np.ones(len(d)), Z])
     gains = np.empty((len(names), D.shape[1]))
     for k, name in enumerate(names):
-        _, A, F = _map_blocks(candidates[name])
+        _, A, F = map_blocks(candidates[name])
         design = np.column_stack([A.toarray(), np.delete(Z, k, axis=1)])
         P = np.zeros((design.shape[1],) * 2)
         P[:POINTS, :POINTS] = (F.T @ F).toarray()
@@ -183,41 +150,11 @@ def examine(d, deviation, candidates: Mapping[str, np.ndarray], slopes: Mapping[
 
 
 # ------------------------------------------------------------------ the winner's map, by the package's engine
-def _problem(A, F, y, w, others) -> HingeProblem:
-    """The hinge problem of one variable with the other candidates as extra linear columns."""
-    n, k, root = A.shape[1], others.shape[1], np.sqrt(w)
-    rows = sparse.csr_matrix(sparse.hstack([A, sparse.csr_matrix(others)]).multiply(root[:, None]))
-    ridge = sparse.hstack([sparse.csr_matrix((k, n)), np.sqrt(1e-8 * len(y)) * sparse.eye_array(k)])
-    basis = np.zeros((n + k, 2 + k))
-    basis[:n, :2] = np.linalg.qr(np.column_stack([np.ones(n), np.linspace(-1, 1, n)]))[0]
-    basis[n:, 2:] = np.eye(k)
-    return HingeProblem(sparse.vstack([rows, ridge]), sparse.hstack([F, sparse.csr_matrix((F.shape[0], k))]),
-                        np.append(root * y, np.zeros(k)), affine_basis=basis)
-
-
 def _learn(d, w, z, others, fold, base):
-    """Curve, partial residual of d and held-out gain, λ by block cross-validation (one standard error rule)."""
-    mesh, A, F = _map_blocks(z)
-    size = float(np.std(d)) or 1.0
-    y = d / size
-    whole = _problem(A, F, y, w, others)
-    grid = lambda_grid(float(lambda_max(whole)), 10, 1e-4)
-    errors = []
-    for f in range(5):
-        train, test = fold != f, fold == f
-        path = solve_path(_problem(A[train], F, y[train], w[train], others[train]), lambdas=grid * train.mean(),
-                          tol=1e-3)
-        errors.append([w[test] @ (y[test] - A[test] @ s.values[:POINTS] - others[test] @ s.values[POINTS:]) ** 2
-                       for s in path.solutions])
-    errors = np.array(errors)
-    mean = errors.mean(axis=0)
-    best = int(np.argmin(mean))
-    within = mean <= mean[best] + errors.std(axis=0, ddof=1)[best] / np.sqrt(5)
-    chosen = int(np.flatnonzero(within)[0])
-    before = _heldout(base, np.zeros((base.shape[1],) * 2), y[:, None], w, fold)[0]
-    values = solve(whole, grid[chosen], tol=1e-3).values
-    curve = Curve(mesh.points[:, 0], size * values[:POINTS])
-    return curve, d - size * others @ values[POINTS:], float(1.0 - errors[:, chosen].sum() / before)
+    """Curve, partial residual of d and held-out gain of the ℓ1 map of one variable."""
+    mesh, A, F = map_blocks(z)
+    values, partial, gain = learn_map(mesh, A, F, d, w, others, fold, base)
+    return Curve(mesh.points[:, 0], values), partial, gain
 
 
 # ------------------------------------------------------------------ breakpoints
@@ -291,20 +228,20 @@ def _memory(d, w, z, others, slope, fold, rng):
     """Held-out gain of separate maps on rising and falling branches, and 95 % of it under shifted branches."""
     if slope is None:
         return 0.0, LEAST
-    _, A, F = _map_blocks(z)
+    _, A, F = map_blocks(z)
     A, P = A.toarray(), (F.T @ F).toarray()
     base = np.column_stack([A, others])
     side = np.where(slope >= 0, 0.5, -0.5)
     plain = np.zeros((base.shape[1],) * 2)
     plain[:POINTS, :POINTS] = RIDGES[0] * P
-    before = _heldout(base, plain, d[:, None], w, fold)[0]
+    before = heldout_errors(base, plain, d[:, None], w, fold)[0]
 
     def gain(s):
         M = np.column_stack([base, A * s[:, None]])
         Q = np.zeros((M.shape[1],) * 2)
         Q[:len(plain), :len(plain)] = plain
         Q[len(plain):, len(plain):] = RIDGES[0] * P + 1e-6 * np.eye(POINTS)
-        return 1.0 - _heldout(M, Q, d[:, None], w, fold)[0] / max(before, 1e-300)
+        return 1.0 - heldout_errors(M, Q, d[:, None], w, fold)[0] / max(before, 1e-300)
 
     n = len(d)
     null = [gain(np.roll(side, int(s))) for s in rng.integers(n // 20, n - n // 20, 19)]

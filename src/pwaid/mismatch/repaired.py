@@ -1,19 +1,19 @@
 """The repaired simulator: an object for python-control, and a file that runs without pwaid.
 
-Both advance one sample at a time with the scheme that was fitted: the effects act inside the user's
-equations, memory (play, rate limits, friction at rest) is kept in extra states.
+Both advance one sample at a time with the scheme that was fitted: the missing laws act inside the user's equations,
+memory (play, rate limits, friction at rest) is kept in extra states. The file holds only the parts its laws need.
 """
 
 from __future__ import annotations
 
-import inspect
-import textwrap
+import re
+from collections.abc import Mapping
 
 import control
-import numpy as np
 
-from pwaid.mismatch.effects import base as effect_base
+from pwaid.mismatch import repaired_parts as parts
 from pwaid.mismatch.hypotheses import Hypothesis
+from pwaid.mismatch.lawsource import Law, law_functions
 from pwaid.mismatch.model import Model
 
 __all__ = ["repaired_source", "repaired_system"]
@@ -27,251 +27,164 @@ def repaired_system(hypothesis: Hypothesis, sample_time: float) -> control.Nonli
     space: dict = {}
     exec(compile(repaired_source(hypothesis, sample_time, None), "<repaired simulator>", "exec"), space)
     plant = hypothesis.fit.model.settings.plant
-    names = list(plant.state_names) + [f"z{i}" for i in range(hypothesis.fit.model.extra)]
     update, output = space["make_repaired"](plant.update, plant.output)
     return control.nlsys(update, output, inputs=list(plant.input_names), outputs=list(plant.output_names),
-                         states=names,
-                         params={n: float(v) for n,
-                                 v in zip(plant.parameters, hypothesis.fit.model.parameters(
-                             hypothesis.fit.theta), strict=False)}, dt=sample_time, name="repaired")
+                         states=list(plant.state_names) + space["MEMORY"], params=dict(space["REFITTED"]),
+                         dt=sample_time, name="repaired")
 
 
-def _literal(array) -> str:
-    return repr(np.asarray(array).tolist())
-
-
-def _law_name(located) -> str:
-    return f"law_{located.effect.id}_{located.effect.kernel.__name__}"
-
-
-def _kernel_source(model: Model) -> str:
-    helpers = [effect_base.push, effect_base.slide]
-    parts = [inspect.getsource(f.py_func).split("\n", 1)[1] for f in helpers]
-    done = set()
-    for e in model.located:
-        kernel = e.effect.kernel
-        if kernel not in done:
-            done.add(kernel)
-            parts.append(textwrap.dedent(inspect.getsource(kernel)).replace(
-                f"def {kernel.__name__}(", f"def {_law_name(e)}(", 1))
-    return "\n\n".join(p.strip("\n") + "\n" for p in parts)
-
-
-def _header(hypothesis: Hypothesis, rows) -> list[str]:
-    lines = ['"""The simulator with the missing physics put in, written by pwaid.', ""]
-    lines += [f"    {e.effect.law}    ({e.label})" for e in hypothesis.located] or ["    no effect was named: "
-                                                                                    "refitted parameters only"]
-    lines += [""] + [f"    {text}" for text in rows]
-    lines += ["", "Runs without pwaid: needs numpy and control. `build()` gives a discrete-time control.nlsys with",
-              "the inputs and outputs of the nominal simulator; `simulate(t, u, x0)` runs it over a recording.", '"""']
-    return lines
-
-
-def repaired_source(hypothesis: Hypothesis, sample_time: float, simulator_source: str | None, rows=()) -> str:
+def repaired_source(hypothesis: Hypothesis, sample_time: float, simulator_source: str | None,
+                    comments: Mapping[str, str] | None = None) -> str:
     """Text of repaired_simulator.py.
 
     Parameters
     ----------
     simulator_source : text of the user's simulator with its build(); None leaves it out.
-    rows : lines for the header: parameters with units and intervals.
+    comments : what is said beside a value, by parameter name, or by number of the effect and its parameter's name
+        (``"0.level"``): unit, interval.
     """
-    model = hypothesis.fit.model
-    s = model.settings
-    parts = model.parts(hypothesis.fit.theta)
-    effects = []
-    for k, (e, values) in enumerate(zip(model.located, parts, strict=True)):
-        q = np.concatenate([values, e.place.constants])
-        effects.append(f"    ({_law_name(e)}, {model.II[k].tolist()}, np.array({_literal(q)}), "
-                       f"{bool(e.effect.proximal)}, {e.effect.start!r}, "
-                       f"{float(values[0]) if e.effect.delays else 0.0!r}),")
-    lines = _header(hypothesis, rows) if simulator_source is not None else []
-    lines += ["from math import cos, exp, floor, sin, sqrt", "", "import control", "import numpy as np", ""]
+    model, comments = hypothesis.fit.model, comments or {}
+    laws = _laws(hypothesis)
+    text = [_header(hypothesis)] if simulator_source is not None else []
+    text.append("from math import cos, exp, floor, sin, sqrt\n\nimport control\nimport numpy as np\n")
     if simulator_source is not None:
-        lines += ["# --- the nominal simulator, unchanged ---", _strip_future(simulator_source).rstrip(), "",
-                  "nominal_build = build", ""]
-    refitted = {n: float(v) for n,
-                v in zip(s.plant.parameters, model.parameters(hypothesis.fit.theta), strict=False)}
-    lines += ["", "# --- the missing physics ---", _kernel_source(model), "",
-              f"SAMPLE_TIME = {sample_time!r}", f"SUBSTEPS = {1 if s.plant.dt else model.substeps}",
-              f"DISCRETE = {bool(s.plant.dt)}", f"EXTRA_STATES = {model.extra}",
-              f"FITTED_PARAMETERS = {refitted!r}", f"SPEED_OF = {s.partner.tolist()}",
-              f"SPEED_RATIO = {s.ratio.tolist()}",
-              "MISSING_PHYSICS = [  # law, where it acts, parameters, dry friction?, start of its memory, delay (s)",
-              *effects,
-              "]", _LOOP]
+        text.append(parts.rule("the nominal simulator, unchanged") + _strip_future(simulator_source).rstrip()
+                    + "\n\n\nnominal_build = build\n")
+    text.append(parts.rule("what was fitted") + _values(hypothesis, laws, sample_time, comments))
+    if laws:
+        text.append(parts.rule("the missing physics") + "\n\n".join(_law_text(law) for law in laws))
+    text.append(parts.rule("the repaired simulator") + _simulator(model, laws))
     if simulator_source is not None:
-        lines += [_BUILD]
-    return "\n".join(lines) + "\n"
+        text.append(parts.LINEAR_BUILD if model.settings.plant.linear else parts.BUILD)
+        text.append(_simulate(model))
+    return "\n\n\n".join(t.strip("\n") for t in text) + "\n"
+
+
+def _laws(hypothesis: Hypothesis) -> list[Law]:
+    model, laws = hypothesis.fit.model, []
+    for k, (e, values) in enumerate(zip(model.located, hypothesis.values(), strict=True)):
+        laws.append(law_functions(e, model.II[k], values, model.settings.plant, _memory_names(model),
+                                  [law.name for law in laws]))
+    return laws
+
+
+def _memory_names(model: Model) -> list[str]:
+    return [f"z{i}" for i in range(model.extra)]
 
 
 def _strip_future(text: str) -> str:
     return "\n".join(line for line in text.splitlines() if not line.startswith("from __future__"))
 
 
-_LOOP = '''
+def _header(hypothesis: Hypothesis) -> str:
+    said = [f"    {e.label}: {e.effect.law}" for e in hypothesis.located] or [
+        "    no law was added: refitted parameters only"]
+    lines = ['"""The simulator with the missing physics put in, written by pwaid.', "", *said, "",
+             "Runs without pwaid: needs numpy and control. `build()` gives a discrete-time control.nlsys with the",
+             "inputs and outputs of the nominal simulator; `simulate(t, u, x0)` runs it over a recording.", '"""']
+    return "\n".join(lines)
 
-def make_repaired(nominal_update, nominal_output):
-    """Update and output functions of the repaired simulator around those of the nominal one."""
-    names = list(FITTED_PARAMETERS)
-    n = len(SPEED_OF)
-    delay_steps = [int(np.ceil(e[5] / SAMPLE_TIME)) + 1 if e[5] > 0 else 0 for e in MISSING_PHYSICS]
-    h = SAMPLE_TIME / SUBSTEPS
 
-    def vector(params):
-        return np.array([params.get(k, FITTED_PARAMETERS[k]) for k in names]) if names else np.zeros(1)
+def _literal(value) -> str:
+    return f"np.array({value.tolist()!r})" if hasattr(value, "tolist") and getattr(value, "ndim", 0) else repr(value)
 
-    def nominal(t, x, u, p):
-        return np.asarray(nominal_update(t, x, u, dict(zip(names, p))), dtype=float).ravel()
 
-    def every(phase, t, step, x, xs, u, p, dx):  # all laws in one phase
-        for law, ii, q, *_ in MISSING_PHYSICS:
-            law(phase, t, step, x, xs, u, p, dx, ii, q)
+def _dictionary(name: str, rows) -> str:
+    """A dictionary literal, one commented value per line."""
+    rows = list(rows)
+    if not rows:
+        return f"{name} = {{}}\n"
+    body = "".join(f"    {key!r}: {_literal(value)},{f'  # {said}' if said else ''}\n" for key, value, said in rows)
+    return f"{name} = {{\n{body}}}\n"
 
-    def rates(t, h, x, u, p, columns):
-        xs, us, ps, dx = x.copy(), u.copy(), p.copy(), np.zeros(x.size)
-        every(1, t, h, x, xs, us, ps, dx)
-        dx[:n] = nominal(t, xs[:n], us, ps)
-        every(2, t, h, x, xs, us, ps, dx)
-        for (law, ii, q, *_), column in columns:
-            law(5, t, h, x, column, us, ps, dx, ii, q)
-        return dx
 
-    def mobility(t, x, u, p, ii):
-        column = np.zeros(x.size)
-        if ii[1] == 0:
-            more = u.copy()
-            more[ii[2]] += 1.0
-            column[:n] = nominal(t, x[:n], more, p) - nominal(t, x[:n], u, p)
-        else:
-            column[ii[2]] = 1.0 / p[ii[3]] if ii[3] >= 0 else 1.0
-        return column
+def _values(hypothesis: Hypothesis, laws, sample_time: float, comments) -> str:
+    model = hypothesis.fit.model
+    plant = model.settings.plant
+    fitted = zip(plant.parameters, model.parameters(hypothesis.fit.theta), strict=False)
+    text = _dictionary("REFITTED", ((n, float(v), comments.get(n, "kept")) for n, v in fitted))
+    for k, law in enumerate(laws):
+        if law.values:
+            names = [q.name for q in law.located.effect.quantities]
+            said = [comments.get(f"{k}.{n}", "") for n in names] + ["of the simulator"] * len(law.values)
+            text += _dictionary(law.name.upper(), ((n, v, s) for (n, v), s in zip(law.values.items(), said,
+                                                                                 strict=False)))
+    text += f"SAMPLE_TIME = {sample_time!r}  # s\n"
+    if not plant.dt:
+        text += f"SUBSTEPS = {model.substeps}  # Runge-Kutta steps per sample\n"
+    return text + f"MEMORY = {_memory_names(model)!r}  # states of the missing physics, after the nominal ones\n"
 
-    dry_laws = [e for e in MISSING_PHYSICS if e[3]]
 
-    def event(a, b):
-        """A reversal, a stop or a release of something with dry friction."""
-        pairs = [(a[e[1][4]], b[e[1][4]]) for e in dry_laws]
-        return any(v * w <= 0.0 and (v != 0.0 or w != 0.0) for v, w in pairs)
+def _law_text(law: Law) -> str:
+    said = f"# {law.located.label}: {law.located.effect.law}"
+    if law.located.effect.delays:
+        said += "\n# (the command is shifted where the simulator reads it, below)"
+    return "\n\n\n".join([f"{said}\n{next(iter(law.functions.values()), '')}".rstrip(),
+                         *[f.rstrip() for f in list(law.functions.values())[1:]]]) + "\n"
 
-    def substep(t, x, u, p):
-        """One substep, repeated in eight pieces when dry friction meets an event inside it."""
-        if DISCRETE or not dry_laws:
-            return advance(t, h, x.copy(), u, p, False)
-        end = advance(t, h, x.copy(), u, p, all(x[e[1][4]] != 0.0 for e in dry_laws))
-        if not event(x, end):
-            return end
-        for piece in range(8):
-            sliding = all(x[e[1][4]] != 0.0 for e in dry_laws)
-            end = advance(t + piece * h / 8, h / 8, x.copy(), u, p, sliding)
-            if sliding and event(x, end):
-                end = advance(t + piece * h / 8, h / 8, x.copy(), u, p, False)
-            x = end
-        return x
 
-    def advance(t, h, x, u, p, sliding):
-        columns = [(e, mobility(t, x, u, p, e[1])) for e in dry_laws]
-        every(0, t, h, x, x.copy(), u, p, np.zeros(x.size))
-        before = x.copy()
-        resist = columns if sliding else []
-        k1 = rates(t, h, x, u, p, resist)
-        if DISCRETE:
-            x = np.concatenate([k1[:n], x[n:] + SAMPLE_TIME * k1[n:]])
-        else:
-            k2 = rates(t + h / 2, h, x + h / 2 * k1, u, p, resist)
-            k3 = rates(t + h / 2, h, x + h / 2 * k2, u, p, resist)
-            x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + rates(t + h, h, x + h * k3, u, p, resist))
-        if not sliding:
-            free = x.copy()
-            for (law, ii, q, *_), column in columns:
-                law(4, t, h, x, before, u, p, column.copy(), ii, q)
-            for i in range(n):
-                if SPEED_OF[i] >= 0 and not DISCRETE:
-                    j = SPEED_OF[i]
-                    rest = before[j] == 0.0 and x[j] == 0.0
-                    x[i] = before[i] if rest else x[i] + 0.5 * h * SPEED_RATIO[i] * (x[j] - free[j])
-        return x
+# ------------------------------------------------------------------ the simulator around the laws
+def _calls(laws, role: str, arguments: str, indent: int) -> str:
+    """The calls of all laws in one role, a line each."""
+    return "".join(f"{' ' * indent}{law.call(role, arguments)}\n" for law in laws if role in law.functions)
 
-    def update(t, x, u, params):
-        x, u, p = np.array(x, dtype=float), np.atleast_1d(np.array(u, dtype=float)), vector(params)
-        for s in range(SUBSTEPS):
-            x = substep(t + s * h, x, delayed(t + s * h, u), p)
-        remember(t, u)
-        return x
 
-    def output(t, x, u, params):
-        x, u, p = np.array(x, dtype=float), np.atleast_1d(np.array(u, dtype=float)), vector(params)
-        xs, us = x.copy(), u.copy()
-        every(1, t, 0.0, x, xs, us, p, np.zeros(x.size))
-        if nominal_output is None:
-            y = xs[:n].copy()
-        else:
-            y = np.asarray(nominal_output(t, xs[:n], us, dict(zip(names, p))), dtype=float).ravel().copy()
-        every(3, t, SAMPLE_TIME, x, xs, us, p, y)
-        return y
-
-    history = {}
-
-    def remember(t, u):
-        if any(delay_steps):
-            history[round(t / SAMPLE_TIME)] = u.copy()
-
-    def delayed(t, u):
-        """The command each delayed channel sees: the mean over the substep of the held past command."""
-        u = u.copy()
-        now = u.copy()
-        for (law, ii, q, dry, start, delay), steps in zip(MISSING_PHYSICS, delay_steps):
-            if steps:
-                a = (t - delay) / SAMPLE_TIME
-                b = a + 1.0 / SUBSTEPS
-                ia, ib = int(np.floor(a + 1e-9)), int(np.floor(b - 1e-9))
-                past = lambda i: history.get(i, history.get(0, now) if i < 0 else now)[ii[8]]
-                w = 1.0 if ia == ib else (ib - a) / (b - a)
-                u[ii[8]] = w * past(ia) + (1 - w) * past(ib)
-        return u
-
-    return update, output
-'''
-
-_BUILD = '''
-
-def build():
-    """The repaired simulator as a discrete-time control.nlsys."""
-    system = nominal_build()
-    if isinstance(system, control.StateSpace):
-        A, B, C, D = (np.array(M) for M in (system.A, system.B, system.C, system.D))
-
-        def matrices(p):
-            return [np.array([[p[f"{k}[{i},{j}]"] for j in range(M.shape[1])] for i in range(M.shape[0])])
-                    for k, M in zip("ABCD", (A, B, C, D))]
-
-        def nominal_update(t, x, u, p):
-            A, B, _, _ = matrices(p)
-            return A @ x + B @ u
-
-        def nominal_output(t, x, u, p):
-            _, _, C, D = matrices(p)
-            return C @ x + D @ u
+def _simulator(model: Model, laws) -> str:
+    plant, s = model.settings.plant, model.settings
+    dry = [law for law in laws if law.located.effect.proximal]
+    delayed = [law for law in laws if law.located.effect.delays]
+    seen = _calls(laws, "seen", "t, {h}, state, seen, inputs, params", 8)
+    fill = {
+        "NX": len(plant.state_names), "DISCRETE": bool(plant.dt),
+        "SEEN": seen.replace("{h}", "h"),
+        "SEEN_AT_SAMPLE": "        seen = state.copy()\n" + seen.replace("{h}", "0.0") if seen else "",
+        "RATES": _calls(laws, "rates", "t, h, state, inputs, params, rates", 8),
+        "SENSORS": _calls(laws, "sensor", "t, SAMPLE_TIME, state, inputs, params, outputs", 8),
+        "MEMORY_CALLS": _calls(laws, "memory", "t, h, state, inputs, params", 8),
+    }
+    text = parts.PLANT
+    if dry:
+        fill |= {"DRY": _dry(laws, list(plant.parameters)), "SPEED_OF": s.partner.tolist(),
+                 "SPEED_RATIO": s.ratio.tolist()}
+        text += parts.FRICTION
+    if plant.dt:
+        text += parts.DISCRETE_STEP
+        fill["FRICTION_AT_REST"] = parts.DISCRETE_FRICTION if dry else ""
     else:
-        nominal_update, nominal_output = system.updfcn, system.outfcn
-    update, output = make_repaired(nominal_update, nominal_output)
-    states = list(system.state_labels) + [f"z{i}" for i in range(EXTRA_STATES)]
-    return control.nlsys(update, output, inputs=list(system.input_labels), outputs=list(system.output_labels),
-                         states=states, params=dict(FITTED_PARAMETERS), dt=SAMPLE_TIME, name="repaired")
+        text += parts.DRY_STEP if dry else parts.RUNGE_KUTTA_STEP
+    if delayed:
+        fill["DELAYS"] = ", ".join(f"({int(law.located.place.ii[8])}, {law.name.upper()}['delay'])" for law in delayed)
+        text += parts.DELAY
+    text += parts.UPDATE
+    sensors_remember = any(re.search(r"state\[\d+\] \S?=", law.functions.get("sensor", "")) for law in laws)
+    fill |= {"REMEMBER": parts.REMEMBER if delayed else "",
+             "DELAYED_AT_SAMPLE": parts.DELAYED_AT_SAMPLE if delayed else "",
+             "DELAYED_CALL": "delayed(now, held)" if delayed else "held",
+             "SENSOR_MEMORY": parts.SENSOR_MEMORY if sensors_remember else "",
+             "STEPS": "1" if plant.dt else "SUBSTEPS"}
+    return parts.filled(text, fill)
 
 
-def simulate(t, u, x0):
-    """Outputs (N, ny) over a recording: u (N, nu) held between samples, x0 the nominal states' start."""
-    system = build()
-    u = np.asarray(u, dtype=float).reshape(len(t), -1)
-    x = np.concatenate([np.asarray(x0, dtype=float), np.zeros(EXTRA_STATES)])
-    for law, ii, q, dry, start, delay in MISSING_PHYSICS:
-        if start == "input":
-            x[ii[0]:] = u[0, ii[8]]
-        elif start == "stored":
-            x[ii[0]] = x[ii[4]]
-    y = []
-    for k in range(len(t)):
-        y.append(system.outfcn(k * SAMPLE_TIME, x, u[k], dict(FITTED_PARAMETERS)))
-        x = system.updfcn(k * SAMPLE_TIME, x, u[k], dict(FITTED_PARAMETERS))
-    return np.array(y)
-'''
+def _dry(laws, parameters) -> str:
+    """The list of dry frictions: level, where its speed is, and what a unit of force does."""
+    rows = []
+    for law in laws:
+        if not law.located.effect.proximal:
+            continue
+        ii = law.located.place.ii
+        inertia = parameters[ii[3]] if ii[1] == 1 and ii[3] >= 0 else None
+        kind = "input" if ii[1] == 0 else "rate"
+        push = f"({kind!r}, {ii[2]}, {inertia!r})"
+        rows.append(f"        ({law.name}_level, {law.name.upper()}, {ii[4]}, {push}),\n")
+    return "".join(rows)
+
+
+def _simulate(model: Model) -> str:
+    starts = []
+    for k, e in enumerate(model.located):
+        first, count = int(model.II[k, 0]), e.effect.extra_states
+        if e.effect.start == "input":
+            starts.append(f"    state[{first}:{first + count}] = u[0, {int(model.II[k, 8])}]\n")
+        elif e.effect.start == "stored":
+            starts.append(f"    state[{first}] = state[{int(model.II[k, 4])}]\n")
+    return parts.filled(parts.SIMULATE, {"STARTS": "".join(starts), "INTERPOLATED": model.settings.first_order_hold})

@@ -11,15 +11,17 @@ from pathlib import Path
 
 import numpy as np
 
-from pwaid.mismatch.decide import Decision
-from pwaid.mismatch.experiment import next_experiment
+from pwaid.mismatch.decide import Decision, Thresholds
+from pwaid.mismatch.experiment import Experiment, next_experiment, plan_experiment, rivals
 from pwaid.mismatch.hypotheses import Hypothesis, share
 from pwaid.mismatch.intervals import parameter_intervals
+from pwaid.mismatch.isolability import Isolability, inside, isolability, leading
 from pwaid.mismatch.locate import Location
 from pwaid.mismatch.measures import fit_table
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.repaired import repaired_source, repaired_system
-from pwaid.mismatch.summary import summary_text
+from pwaid.mismatch.summary import interval, summary_text
+from pwaid.mismatch.units import combine
 
 __all__ = ["SCHEMA", "Report", "build_report", "write_report"]
 
@@ -38,6 +40,8 @@ class Report:
     pairs: tuple[Hypothesis, ...] = field(repr=False)
     location: Location = field(repr=False)
     fallback: Hypothesis | None = field(default=None, repr=False)
+    isolability: Isolability | None = field(default=None, repr=False)
+    experiment: Experiment | None = field(default=None, repr=False)
 
     @property
     def verdict(self) -> str:
@@ -135,21 +139,40 @@ def _shares(problem, h: Hypothesis, singles) -> list[float]:
     return [first, h.share - first]
 
 
-def _candidates(problem, hypotheses, passed, output_names):
+def _candidates(problem, hypotheses, decision: Decision, output_names):
+    """One row per fitted candidate; `wider`: it contains the answer and is not the answer."""
     rows = []
-    ok = {id(h) for h in passed}
+    ok = {id(h) for h in decision.passed}
     for h in hypotheses:
         rmse = np.sqrt(np.mean((problem.test.Y - h.test.Y) ** 2, axis=0))
         rows.append({"id": " + ".join(h.ids), "family": " + ".join(h.families), "where": h.label,
                      "heldout_rmse": dict(zip(output_names, map(float, rmse), strict=True)),
                      "share_explained": h.share, "screen_score": h.score, "parameters": h.fit.model.size,
-                     "passed": id(h) in ok})
+                     "passed": id(h) in ok,
+                     "wider": any(h is not m and inside(m, h) for m in decision.members)})
     return sorted(rows, key=lambda r: -r["share_explained"])
+
+
+def _units(problem: Problem) -> dict:
+    """Units of inputs and outputs as text."""
+    s, plant = problem.structure, problem.plant
+    return {"inputs": {n: combine({}, (dict(u), 1)) for n, u in zip(plant.input_names, s.input_units, strict=True)},
+            "outputs": {n: combine({}, (dict(u), 1)) for n, u in zip(plant.output_names, s.output_units, strict=True)}}
+
+
+def _alternatives(decision: Decision) -> list[list[int]]:
+    """Which entries of `effects` belong to each member of the answer."""
+    groups, k = [], 0
+    for h in decision.members:
+        groups.append(list(range(k, k + len(h.located))))
+        k += len(h.located)
+    return groups
 
 
 def build_report(problem: Problem, null, singles, pairs, screened, decision: Decision, location: Location,
                  notes,
-                 tried: int, seconds: float, fallback: Hypothesis | None = None) -> Report:
+                 tried: int, seconds: float, fallback: Hypothesis | None = None, jobs: int = 1,
+                 thresholds: Thresholds | None = None) -> Report:
     """Gather everything into the content of report.json."""
     names = problem.plant.output_names
     used = fallback if fallback is not None and fallback.share > 0 else None
@@ -166,27 +189,36 @@ def build_report(problem: Problem, null, singles, pairs, screened, decision: Dec
         parameters[name] = {"nominal": nominal, "refitted": nominal * np.exp(best.fit.theta[k]),
                             "low": ends[0],
                             "high": ends[1], "without_effect": nominal * np.exp(null.fit.theta[k])}
+    limits = thresholds or Thresholds()
+    units, others = _units(problem), [*singles, *pairs]
+    told = isolability(problem, leading(null, decision.members, others), jobs)
+    pair = rivals(problem, null, decision, others, screened)
+    plan = plan_experiment(problem, pair, list(units["inputs"].values()), told) if pair else None
     stages = {"nominal": problem.nominal_test.Y, "refitted": null.test.Y, "repaired": best.test.Y}
     content = {
-        "schema": "pwaid.mismatch/1", "verdict": decision.verdict, "effects": effects,
-        "candidates": _candidates(problem, [*singles, *pairs], decision.passed, names),
+        "schema": SCHEMA, "verdict": decision.verdict, "effects": effects,
+        "alternatives": _alternatives(decision), "units": units,
+        "answer": [h.label for h in decision.members],
+        "candidates": _candidates(problem, others, decision, names),
         "location": _location(location, decision.chosen if decision.members else None, screened),
         "parameters": parameters,
-        "fit": fit_table(problem.test, names, stages),
+        "fit": fit_table(problem.test, names, stages, problem.floor.level),
         "fit_train": fit_table(problem.train, names, {"nominal": problem.nominal.Y, "refitted": null.fit.Y,
-                                                      "repaired": best.fit.Y}),
+                                                      "repaired": best.fit.Y}, problem.floor.level),
+        "share_needed": limits.share if problem.floor.trusted else limits.share_tentative,
         "share_explained": best.share if decision.members else 0.0,
         "noise_floor": dict(zip(names, map(float, problem.floor.level), strict=True)),
         "noise_floor_source": problem.floor.source,
         "correction": _correction(location, fallback, used),
-        "next_experiment": next_experiment(problem, decision, singles),
+        "next_experiment": next_experiment(problem, decision, plan),
+        "experiment": plan.table() if plan else None, "isolability": told.table(),
         "reasons": list(decision.reasons), "warnings": warnings,
         "screen": [{"id": s.located.effect.id, "where": s.located.label, "score": s.score,
                     "visible": s.visible}
                    for s in screened],
         "hypotheses_tried": tried, "seconds": seconds,
     }
-    return Report(_clean(content), problem, null, decision, tuple(singles), tuple(pairs), location, used)
+    return Report(_clean(content), problem, null, decision, tuple(singles), tuple(pairs), location, used, told, plan)
 
 
 def _location(location: Location, best, screened) -> dict:
@@ -209,6 +241,11 @@ def _location(location: Location, best, screened) -> dict:
             "smeared_over_s": location.unknown.rise,
             "breakpoints": [{"position": b.position, "low": b.low, "high": b.high, "jump": b.jump, "size": b.size}
                             for b in shape.bends]}
+        pair = location.pair
+        if pair is not None:
+            found["unknown_input"]["pair"] = {
+                "variables": list(pair.variables), "heldout_gain": pair.gain, "threshold": pair.threshold,
+                "ranking": [{"variables": list(v), "gain": g} for v, g in pair.ranking.items()]}
     return found
 
 
@@ -236,21 +273,20 @@ def _collinear(h: Hypothesis, correlation) -> list[str]:
 
 def write_report(report: Report, out: Path, simulator_source: str) -> None:
     """Write report.json, report.html and repaired_simulator.py; all are made before any is written."""
-    rows = []
-    for e in report.effects:
+    comments = {}
+    for k, e in enumerate(report.effects[:len(report.best.located)]):
         for name, v in e["parameters"].items():
-            rows.append(f"{e['id']}.{name} = {v['value']:.6g} {v['unit']}  (90 %: {v['low']:.4g} to {v['high']:.4g})")
+            said = f"90 %: {interval(v['value'], v['low'], v['high'])}"
+            comments[f"{k}.{name}"] = f"{v['unit']}, {said}" if v["unit"] else said
     for name, v in report.content["parameters"].items():
-        rows.append(f"{name} = {v['refitted']:.6g}  (nominal {v['nominal']:.6g}; "
-                    f"90 %: {v['low']:.4g} to {v['high']:.4g})")
+        comments[name] = f"nominal {v['nominal']:.6g}, 90 %: {interval(v['refitted'], v['low'], v['high'])}"
     from pwaid.mismatch.html import html_page
 
     files = {"report.json": json.dumps(report.content, indent=1, allow_nan=False),
              "report.html": html_page(report),
              "report.txt": report.summary,
              "repaired_simulator.py": repaired_source(report.best, report.problem.train.sample_time,
-                                                      simulator_source,
-                                                      rows)}
+                                                      simulator_source, comments)}
     out.mkdir(parents=True, exist_ok=True)
     for name, text in files.items():
         (out / name).write_text(text, encoding="utf-8")

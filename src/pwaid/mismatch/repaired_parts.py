@@ -1,0 +1,258 @@
+"""Pieces of text of repaired_simulator.py; what stands in «» is filled in by `pwaid.mismatch.repaired`."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+__all__ = ["BUILD", "DELAY", "DELAYED_AT_SAMPLE", "DISCRETE_FRICTION", "DISCRETE_STEP", "DRY_STEP", "FRICTION",
+           "LINEAR_BUILD", "PLANT", "REMEMBER", "RUNGE_KUTTA_STEP", "SENSOR_MEMORY", "SIMULATE", "UPDATE", "filled",
+           "rule"]
+
+
+def rule(title: str) -> str:
+    """A comment line that opens a part of the file."""
+    return f"# {'-' * 20} {title} {'-' * 20}\n"
+
+
+def filled(text: str, values: Mapping[str, object]) -> str:
+    """The text with every «NAME» replaced; lines that only hold an empty one go."""
+    for name, value in values.items():
+        if value == "":
+            text = text.replace(f"«{name}»\n", "")
+        text = text.replace(f"«{name}»\n", f"{str(value).rstrip(chr(10))}\n").replace(f"«{name}»", str(value))
+    return text
+
+
+PLANT = '''
+def make_repaired(nominal_update, nominal_output):
+    """Update and output functions of the repaired simulator around those of the nominal one."""
+
+    def nominal(t, state, inputs, params):
+        return np.asarray(nominal_update(t, state[:«NX»], inputs, params), dtype=float).ravel()
+
+    def derivative(t, h, state, inputs, params):
+        """Derivatives of all states (the next ones, where the nominal simulator is discrete)."""
+        seen, inputs, params, rates = state.copy(), inputs.copy(), dict(params), np.zeros(state.size)
+«SEEN»
+        rates[:«NX»] = nominal(t, seen, inputs, params)
+«RATES»
+        return rates
+'''
+
+RUNGE_KUTTA_STEP = '''
+    def step(t, h, state, inputs, params):
+        """One Runge-Kutta step with the input held."""
+«MEMORY_CALLS»
+        k1 = derivative(t, h, state, inputs, params)
+        k2 = derivative(t + h / 2, h, state + h / 2 * k1, inputs, params)
+        k3 = derivative(t + h / 2, h, state + h / 2 * k2, inputs, params)
+        k4 = derivative(t + h, h, state + h * k3, inputs, params)
+        return state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+'''
+
+DISCRETE_STEP = '''
+    def step(t, h, state, inputs, params):
+        """One sample of the nominal simulator."""
+«MEMORY_CALLS»
+        before = state
+        new = derivative(t, h, state, inputs, params)
+        state = np.concatenate([new[:«NX»], state[«NX»:] + h * new[«NX»:]])
+«FRICTION_AT_REST»
+        return state
+'''
+
+FRICTION = '''
+    # dry friction: its level, its parameters, the state that is its speed, and what its force acts on
+    dry_friction = [
+«DRY»
+    ]
+
+    def mobility(t, state, inputs, params, acts_on):
+        """What a unit of force adds to the derivatives."""
+        kind, index, inertia = acts_on
+        column = np.zeros(state.size)
+        if kind == "input":
+            more = inputs.copy()
+            more[index] += 1.0
+            column[:«NX»] = nominal(t, state, more, params) - nominal(t, state, inputs, params)
+        else:
+            column[index] = 1.0 if inertia is None else 1.0 / params[inertia]
+        return column
+
+    def pull_towards_rest(h, state, speed, size, column):
+        """Change the speed by at most what friction can do in h; it stops there, it does not reverse."""
+        v, gain = state[speed], column[speed]
+        if gain != 0.0:
+            reach = h * abs(gain) * max(size, 0.0)
+            stopped = v - reach if v > reach else (v + reach if v < -reach else 0.0)
+            state += column * (stopped - v) / gain
+            state[speed] = stopped
+'''
+
+DISCRETE_FRICTION = '''        for level, values, speed, acts_on in dry_friction:
+            size = level(t, h, state, before, inputs, params, **values)
+            pull_towards_rest(h, state, speed, size, mobility(t, before, inputs, params, acts_on))'''
+
+DRY_STEP = '''
+    def step(t, h, state, inputs, params):
+        """One step; where a sliding body reverses, stops or starts inside it, eight short ones."""
+        end = smooth_step(t, h, state, inputs, params, sliding(state))
+        if not event(state, end):
+            return end
+        h = h / 8
+        for piece in range(8):
+            now = t + piece * h
+            end = smooth_step(now, h, state, inputs, params, sliding(state))
+            if sliding(state) and event(state, end):
+                end = smooth_step(now, h, state, inputs, params, False)
+            state = end
+        return state
+
+    def sliding(state):
+        return all(state[speed] != 0.0 for _, _, speed, _ in dry_friction)
+
+    def event(a, b):
+        return any(a[i] * b[i] <= 0.0 and (a[i] != 0.0 or b[i] != 0.0) for _, _, i, _ in dry_friction)
+
+    def smooth_step(t, h, state, inputs, params, slides):
+        """A Runge-Kutta step: friction is a force against the motion while sliding, else it acts at the end."""
+        columns = [mobility(t, state, inputs, params, acts_on) for _, _, _, acts_on in dry_friction]
+        state = state.copy()
+«MEMORY_CALLS»
+        before = state.copy()
+
+        def total(t, state):
+            rates = derivative(t, h, state, inputs, params)
+            for (level, values, speed, _), column in zip(dry_friction, columns):
+                v, gain = state[speed], column[speed]
+                if slides and v != 0.0 and gain != 0.0:
+                    size = level(t, h, state, state, inputs, params, **values)
+                    rates -= size * np.sign(v) * np.sign(gain) * column
+            return rates
+
+        k1 = total(t, state)
+        k2 = total(t + h / 2, state + h / 2 * k1)
+        k3 = total(t + h / 2, state + h / 2 * k2)
+        k4 = total(t + h, state + h * k3)
+        state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        if not slides:
+            free = state.copy()
+            for (level, values, speed, _), column in zip(dry_friction, columns):
+                size = level(t, h, state, before, inputs, params, **values)
+                pull_towards_rest(h, state, speed, size, column)
+            for i, (v, ratio) in enumerate(zip(«SPEED_OF», «SPEED_RATIO»)):  # speed of each position, and their ratio
+                if v >= 0:
+                    rests = before[v] == 0.0 and state[v] == 0.0
+                    state[i] = before[i] if rests else state[i] + 0.5 * h * ratio * (state[v] - free[v])
+        return state
+'''
+
+DELAY = '''
+    delays = [«DELAYS»]  # input, seconds
+    history = {}
+
+    def remember(t, inputs):
+        history[round(t / SAMPLE_TIME)] = inputs.copy()
+
+    def delayed(t, inputs):
+        """The command that each delayed channel sees: its mean over the step, samples before the first repeat it."""
+        seen = inputs.copy()
+        for j, delay in delays:
+            a = (t - delay) / SAMPLE_TIME
+            b = a + 1.0 / «STEPS»
+            first, last = int(np.floor(a + 1e-9)), int(np.floor(b - 1e-9))
+            old, new = (history.get(max(i, 0), inputs)[j] for i in (first, last))
+            share = 1.0 if first == last else (last - a) / (b - a)
+            seen[j] = share * old + (1.0 - share) * new
+        return seen
+'''
+
+REMEMBER = '''        remember(t, inputs)'''
+
+DELAYED_AT_SAMPLE = '''        inputs = delayed(t, inputs)'''
+
+SENSOR_MEMORY = '''        measure(t, state, inputs, params)  # the sensor's memory moves on'''
+
+UPDATE = '''
+    def measure(t, state, inputs, params):
+        """Outputs at a sample."""
+        inputs, params = inputs.copy(), dict(params)
+«DELAYED_AT_SAMPLE»
+«SEEN_AT_SAMPLE»
+        if nominal_output is None:
+            outputs = state[:«NX»].copy()
+        else:
+            outputs = np.array(nominal_output(t, state[:«NX»], inputs, params), dtype=float).ravel()
+«SENSORS»
+        return outputs
+
+    def prepared(x, u, params):
+        return np.array(x, dtype=float), np.array(u, dtype=float).ravel(), {**REFITTED, **(params or {})}
+
+    def update(t, x, u, params, later=None):
+        """The states one sample later; with `later`, the input runs straight to that value."""
+        state, inputs, params = prepared(x, u, params)
+«REMEMBER»
+«SENSOR_MEMORY»
+        for k in range(«STEPS»):
+            now = t + k * SAMPLE_TIME / «STEPS»
+            held = inputs if later is None else inputs + (k + 0.5) / «STEPS» * (np.ravel(later) - inputs)
+            state = step(now, SAMPLE_TIME / «STEPS», state, «DELAYED_CALL», params)
+        return state
+
+    def output(t, x, u, params):
+        return measure(t, *prepared(x, u, params))
+
+    return update, output
+'''
+
+BUILD = '''
+def build():
+    """The repaired simulator as a discrete-time control.nlsys."""
+    system = nominal_build()
+    update, output = make_repaired(system.updfcn, system.outfcn)
+    return control.nlsys(update, output, inputs=list(system.input_labels), outputs=list(system.output_labels),
+                         states=list(system.state_labels) + MEMORY, params=dict(REFITTED), dt=SAMPLE_TIME,
+                         name="repaired")
+'''
+
+LINEAR_BUILD = '''
+def build():
+    """The repaired simulator as a discrete-time control.nlsys."""
+    system = control.ss(nominal_build())
+
+    def matrix(name, params):
+        M = np.array(getattr(system, name))
+        return np.array([[params[f"{name}[{i},{j}]"] for j in range(M.shape[1])] for i in range(M.shape[0])]
+                        ).reshape(M.shape)
+
+    def nominal_update(t, x, u, params):
+        return matrix("A", params) @ x + matrix("B", params) @ u
+
+    def nominal_output(t, x, u, params):
+        return matrix("C", params) @ x + matrix("D", params) @ u
+
+    update, output = make_repaired(nominal_update, nominal_output)
+    return control.nlsys(update, output, inputs=list(system.input_labels), outputs=list(system.output_labels),
+                         states=list(system.state_labels) + MEMORY, params=dict(REFITTED), dt=SAMPLE_TIME,
+                         name="repaired")
+'''
+
+SIMULATE = '''
+def simulate(t, u, x0, interpolated=«INTERPOLATED»):
+    """Outputs (N, ny) over a recording.
+
+    t (N,) s; u (N, nu), held between samples, or running straight from one to the next when `interpolated`;
+    x0: the nominal states at the start.
+    """
+    system = build()
+    u = np.asarray(u, dtype=float).reshape(len(t), -1)
+    state = np.concatenate([np.asarray(x0, dtype=float), np.zeros(len(MEMORY))])
+«STARTS»
+    y = []
+    for k in range(len(t)):
+        y.append(system.outfcn(k * SAMPLE_TIME, state, u[k], REFITTED))
+        later = u[min(k + 1, len(t) - 1)] if interpolated else None
+        state = system.updfcn(k * SAMPLE_TIME, state, u[k], REFITTED, later)
+    return np.array(y)
+'''

@@ -1,0 +1,142 @@
+"""The repaired simulator's file simulates what the engine simulates, for every law of the catalogue."""
+
+from __future__ import annotations
+
+import control
+import numpy as np
+import pytest
+from tests_support import oscillator, record
+
+from pwaid.mismatch.dataset import Dataset
+from pwaid.mismatch.effects.registry import CATALOGUE
+from pwaid.mismatch.fit import Fit
+from pwaid.mismatch.hypotheses import Hypothesis
+from pwaid.mismatch.model import Model, Settings
+from pwaid.mismatch.plant import as_plant
+from pwaid.mismatch.probing import find_structure
+from pwaid.mismatch.repaired import repaired_source, repaired_system
+from pwaid.mismatch.screen import locate_effects
+
+DATA = Dataset.from_recordings([record(1, samples=80)])
+
+
+def two_masses(t, x, u, params):
+    twist, rate = x[0] - x[2], x[1] - x[3]
+    torque = params["k"] * twist + params["d"] * rate
+    return np.array([x[1], (u[0] - torque) / params["Jm"], x[3], (torque - params["b"] * x[3]) / params["Jl"]])
+
+
+def tanks(t, x, u, params):
+    upper, lower = np.sqrt(np.maximum(x[0], 0.0)), np.sqrt(np.maximum(x[1], 0.0))
+    return np.array([params["a"] * (u[0] + 3.0) - params["b"] * upper, params["b"] * upper - params["c"] * lower])
+
+
+def both_angles(t, x, u, params):
+    return np.array([x[0], x[2]])
+
+
+def lower_level(t, x, u, params):
+    return np.array([x[1]])
+
+
+def _linear(dt):
+    A, B = np.array([[0.0, 1.0], [-3.0, -0.4]]), np.array([[0.0], [0.9]])
+    if dt:
+        A, B = np.eye(2) + dt * A, dt * B
+    return control.ss(A, B, [[1.0, 0.0]], 0, dt or 0, inputs=["F"], outputs=["x"], states=["x", "v"])
+
+
+PLANTS = {  # simulator, input unit, output unit
+    "oscillator": (oscillator(), "N", "m"),
+    "two masses": (control.nlsys(two_masses, both_angles, inputs=["T"],
+                                 outputs=["a", "c"], states=["a", "wa", "c", "wc"],
+                                 params={"Jm": 1.0, "Jl": 2.0, "k": 40.0, "d": 0.3, "b": 0.2}), "N m", "rad"),
+    "tanks": (control.nlsys(tanks, lower_level, inputs=["pump"], outputs=["level"],
+                            states=["h1", "h2"], params={"a": 0.3, "b": 0.5, "c": 0.4}), "V", "m"),
+    "linear": (_linear(0.0), "N", "m"),
+    "discrete": (_linear(0.02), "N", "m"),
+}
+
+
+def _setting(name):
+    simulator, input_unit, output_unit = PLANTS[name]
+    plant = as_plant(simulator)
+    nx, _, ny = plant.sizes
+    rng = np.random.default_rng(0)
+    data = Dataset(DATA.names, DATA.U, np.repeat(DATA.Y, ny, axis=1), DATA.segments, DATA.sample_time)
+    states = rng.uniform(0.2, 1.0, (64, nx)) if name == "tanks" else rng.normal(size=(64, nx))
+    free = tuple(plant.parameters)[:2]
+    s = find_structure(plant, states, data.U, data.Y, [input_unit], [output_unit] * ny, data.sample_time, 1.6, free)
+    return plant, data, s, Settings(plant, s.partner, s.ratio, free, np.full(len(free), 0.3), 2)
+
+
+def _hypothesis(settings, located, data):
+    model = Model(settings, located)
+    z = [e.internal([q.probes[0] if q.probes else 1.0 for q in e.effect.quantities]) for e in located]
+    theta = np.concatenate([[0.05, -0.03], *z])
+    start = np.linspace(0.3, 0.4, model.nx)[None]
+    Y, X = model.simulate(theta, start, data)
+    fit = Fit(model, theta, start, 0.0, Y, X, 0)
+    return Hypothesis(tuple(located), fit, fit, 0.0, 0.0, 0.0)
+
+
+def _run_file(hypothesis, plant_object, data):
+    """The file's simulate(), with the simulator handed in as its nominal build."""
+    space = {"build": lambda: plant_object}
+    source = repaired_source(hypothesis, data.sample_time, "# nominal simulator")
+    assert "pwaid." not in source.replace("written by pwaid.", "")
+    exec(compile(source, "repaired_simulator.py", "exec"), space)
+    return space["simulate"](np.arange(len(data.U)) * data.sample_time, data.U, hypothesis.fit.X0[0])
+
+
+@pytest.mark.parametrize("name", PLANTS)
+def test_the_file_simulates_every_law_as_the_engine_does(name):
+    plant, data, structure, settings = _setting(name)
+    seen = set()
+    for located in locate_effects(CATALOGUE, structure):
+        key = (located.effect.id, located.effect.law, located.place.ii[1], located.place.ii[10])
+        if key in seen:
+            continue
+        seen.add(key)
+        hypothesis = _hypothesis(settings, (located,), data)
+        got = _run_file(hypothesis, PLANTS[name][0], data)
+        scale = np.max(np.abs(hypothesis.fit.Y))
+        np.testing.assert_allclose(got, hypothesis.fit.Y, rtol=1e-8, atol=1e-9 * scale, err_msg=located.label)
+    assert len(seen) > 15
+
+
+@pytest.mark.parametrize("ids", [("coulomb_friction", "input_play"), ("actuator_lag", "presliding_friction"),
+                                 ("input_delay", "coulomb_friction"), ("coulomb_friction", "sensor_lag")])
+def test_pairs_keep_their_memories_apart(ids):
+    _, data, structure, settings = _setting("oscillator")
+    everywhere = locate_effects(CATALOGUE, structure)
+    pair = [next(e for e in everywhere if e.effect.id == i) for i in ids]
+    hypothesis = _hypothesis(settings, pair, data)
+    np.testing.assert_allclose(_run_file(hypothesis, PLANTS["oscillator"][0], data), hypothesis.fit.Y, rtol=1e-8,
+                               atol=1e-9)
+
+
+def test_interpolated_inputs_are_followed_as_fitted():
+    _, data, structure, settings = _setting("oscillator")
+    held = Settings(**{**settings.__dict__, "first_order_hold": True})
+    law = next(e for e in locate_effects(CATALOGUE, structure) if e.effect.id == "cubic_stiffness")
+    hypothesis = _hypothesis(held, (law,), data)
+    np.testing.assert_allclose(_run_file(hypothesis, PLANTS["oscillator"][0], data), hypothesis.fit.Y, rtol=1e-8,
+                               atol=1e-9)
+
+
+def test_the_law_reads_as_physics():
+    _, data, structure, settings = _setting("oscillator")
+    law = next(e for e in locate_effects(CATALOGUE, structure) if e.effect.id == "quadratic_drag")
+    source = repaired_source(_hypothesis(settings, (law,), data), data.sample_time, "", {"0.coefficient": "N s2/m2"})
+    assert "rates[1] -= coefficient * v * abs(v) / params['m']  # dv/dt" in source
+    assert "# N s2/m2" in source
+    assert "dry_friction" not in source  # only what this law needs
+
+
+def test_the_object_has_the_simulators_channels():
+    _, data, structure, settings = _setting("oscillator")
+    law = next(e for e in locate_effects(CATALOGUE, structure) if e.effect.id == "presliding_friction")
+    system = repaired_system(_hypothesis(settings, (law,), data), data.sample_time)
+    assert (system.ninputs, system.noutputs, system.nstates) == (1, 1, 4)
+    assert system.dt == data.sample_time

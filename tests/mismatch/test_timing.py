@@ -1,0 +1,70 @@
+"""Clock shifts and the hold are found from recording and simulation, and said in plain words."""
+
+from __future__ import annotations
+
+import re
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from pwaid.mismatch.dataset import Dataset
+from pwaid.mismatch.hygiene import _sign
+from pwaid.mismatch.timing import shift_between, timing_notes
+from pwaid.recording import Recording
+
+H, N = 0.01, 2000
+T = np.arange(N) * H
+
+
+def signal(t):
+    return np.sin(2.1 * t) + 0.6 * np.sin(5.3 * t + 1) + 0.3 * np.sin(9.7 * t + 2)
+
+
+def problem(recorded_at, interpolated=False, noise=1e-3):
+    """A recording of `signal` at the given times beside its simulation at the sample times."""
+    rng = np.random.default_rng(0)
+    y = signal(recorded_at) + noise * rng.normal(size=N)
+    data = Dataset.from_recordings([Recording(T, T[:, None], y[:, None], ("u",), ("x",), {}, name="r.csv")])
+    return SimpleNamespace(train=data, null=SimpleNamespace(Y=signal(T)[:, None]),
+                           plant=SimpleNamespace(output_names=("x",)),
+                           settings=SimpleNamespace(first_order_hold=interpolated))
+
+
+@pytest.mark.parametrize("shift", [-3.3, -0.5, 0.5, 1.0, 4.7])
+def test_shift_is_found_to_a_fraction_of_a_sample(shift):
+    got, alike, gain = shift_between(signal(T - shift * H), signal(T), 20)
+    assert got == pytest.approx(shift, abs=0.02)
+    assert alike > 0.999
+    assert gain > 0.99
+
+
+def test_equal_clocks_say_nothing():
+    assert timing_notes(problem(T)) == []
+
+
+def test_two_clocks_that_run_apart():
+    (note,) = timing_notes(problem(T * (1 - 0.004)))
+    assert "two clocks" in note
+    assert float(re.search(r"by ([0-9.]+) %", note).group(1)) == pytest.approx(0.4, abs=0.02)
+
+
+def test_half_a_sample_early_points_to_the_hold():
+    (note,) = timing_notes(problem(T + 0.5 * H))
+    assert 'hold = "first"' in note
+    (note,) = timing_notes(problem(T - 0.5 * H, interpolated=True))
+    assert 'hold = "zero"' in note
+
+
+def test_late_and_early_outputs_are_told_apart():
+    (late,) = timing_notes(problem(T - 3 * H))
+    (early,) = timing_notes(problem(T + 3 * H))
+    assert "3 samples (0.03 s) after its simulation" in late
+    assert "no cause can do that" in early
+
+
+def test_a_factor_that_units_explain_is_named():
+    y = signal(T)
+    assert "degrees and radians" in _sign("x", 57.3 * y, y, "deg")[0]
+    assert "mirrored" in _sign("x", -y, y, "")[0]
+    assert _sign("x", 1.3 * y, y, "") == []
