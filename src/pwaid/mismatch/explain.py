@@ -13,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from pwaid.errors import InputError
+from pwaid.mismatch.access import prepare_black_box
 from pwaid.mismatch.case import load_case
 from pwaid.mismatch.correction import correct
 from pwaid.mismatch.dataset import Dataset
@@ -51,7 +52,8 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
     Parameters
     ----------
     simulator : control.NonlinearIOSystem, control.StateSpace or transfer function, continuous or
-        discrete, or a right-hand side ``f(t, x, u, params)`` whose states are its outputs.
+        discrete, a right-hand side ``f(t, x, u, params)`` whose states are its outputs, or a callable
+        ``simulate(u) -> y`` (`pwaid.mismatch.blackbox.BlackBox` lists its options).
     train, test : Recording or sequence of Recording; without test, the last recording (or the last
         third of a single one) is held out.
     free_parameters : names of nominal parameters that may be wrong; all of them when None.
@@ -98,6 +100,9 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
     for r in test:
         if any(len(r.time) == len(q.time) and np.array_equal(r.outputs, q.outputs) for q in train):
             raise InputError(f"test recording {r.name} is also a training recording; hold one out")
+    if plant.black_box is not None:
+        plant, data, held, more = prepare_black_box(plant, data, held)
+        notes += more
     say(0.02, "refitting the nominal simulator")
     named = {r.name: r for r in (*train, *test)}
     groups = [[named[n] for n in group if n in named] for group in repeats]

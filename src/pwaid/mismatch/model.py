@@ -7,6 +7,7 @@ from functools import cached_property
 
 import numpy as np
 
+from pwaid.mismatch.blackbox_engine import simulate_black_box
 from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.effects.base import Effect, Place, scale_of, unit_of
 from pwaid.mismatch.engine import idle, simulate_segments
@@ -172,6 +173,8 @@ class Model:
             Q[k, :row.size] = row
             if e.effect.delays:
                 delay[e.place.ii[8]] += values[0]
+        if self.settings.plant.black_box is not None:
+            return simulate_black_box(self, p, Q, delay, X0, data, LIMIT)
         start = np.zeros((len(data.segments), self.nx + self.extra))
         start[:, :self.nx] = X0
         for k, e in enumerate(self.located):

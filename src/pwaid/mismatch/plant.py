@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 
 from pwaid.errors import InputError
+from pwaid.mismatch.blackbox import BlackBox, looks_like_black_box
 from pwaid.mismatch.compile_rhs import CompileFailure, compiled_pair
 from pwaid.mismatch.engine import RHS_TYPE
 
@@ -28,6 +29,9 @@ class Plant:
 
     `rhs` and `out` are their compiled forms, None when they do not compile; `parameters` maps every
     name to its nominal value in a fixed order. `dt` is 0 for continuous time.
+
+    A black box has `black_box` instead of equations, `dt` = 1 (one call covers all samples), its start as
+    states, `force_names` for its force hook, and `gains`, pairs (input, position of its gain parameter).
     """
 
     update: Callable
@@ -42,6 +46,15 @@ class Plant:
     source: str = ""
     linear: bool = False
     notes: tuple[str, ...] = ()
+    black_box: BlackBox | None = None
+    force_names: tuple[str, ...] = ()
+    force_units: tuple[str, ...] = ()
+    gains: tuple[tuple[int, int], ...] = ()
+
+    @property
+    def start_sizes(self) -> np.ndarray:
+        """(states,) least magnitude of the start states: that of a black box, zero where simulation tells."""
+        return self.black_box.start_sizes if self.black_box is not None else np.zeros(len(self.state_names))
 
     @property
     def sizes(self) -> tuple[int, int, int]:
@@ -178,16 +191,44 @@ def _compile(plant: Plant) -> Plant:
     return replace(plant, rhs=rhs, out=out)
 
 
+def _still(t, x, u, params):
+    """States of a black box are only its start: nothing is known of how they move."""
+    return np.zeros_like(x)
+
+
+def _from_black_box(simulate, input_names, output_names, parameters, source: str) -> Plant:
+    box = BlackBox(simulate, input_names, output_names, parameters)
+    values = dict(box.parameters)
+    gains: tuple[tuple[int, int], ...] = ()
+    if not values:
+        values = {f"gain_{n}": 1.0 for n in box.inputs}
+        gains = tuple((j, j) for j in range(len(box.inputs)))
+    ny = len(box.outputs)
+
+    def silent(t, x, u, params):
+        return np.zeros(ny)
+
+    hook = (" and at its force" if box.forces else "; effects that depend on a state (friction, stiffness, outflow) "
+            "cannot be told apart, nor can forces: a hook simulate(u, force=d) or the right-hand side would let them in")
+    notes = [f"the simulator is a black box: effects are tried at its inputs and outputs{hook}"]
+    if gains:
+        notes.append("the simulator takes no params: the gain of every input is refitted in their place")
+    return Plant(_still, silent, tuple(f"x0_{i}" for i in range(box.start.size)), box.inputs, box.outputs, values, 1.0,
+                 source=source, notes=tuple(notes), black_box=box, force_names=tuple(box.forces),
+                 force_units=tuple(box.forces.values()), gains=gains)
+
+
 def as_plant(simulator, input_names=None, output_names=None, parameters: Mapping[str, float] | None = None,
              source: str = "") -> Plant:
     """Accept any simulator the tool can inject effects into.
 
     Parameters
     ----------
-    simulator : control.NonlinearIOSystem, control.StateSpace, control.TransferFunction, or a right-hand
-        side ``f(t, x, u, params)`` whose states are its outputs.
-    input_names, output_names : names used for a bare right-hand side.
-    parameters : defaults used for a bare right-hand side.
+    simulator : control.NonlinearIOSystem, control.StateSpace, control.TransferFunction, a right-hand side
+        ``f(t, x, u, params)`` whose states are its outputs, or a callable ``simulate(u) -> y`` (see
+        `pwaid.mismatch.blackbox.BlackBox` for its options).
+    input_names, output_names : names used for a bare right-hand side or a callable.
+    parameters : defaults used for these.
 
     Raises
     ------
@@ -202,6 +243,8 @@ def as_plant(simulator, input_names=None, output_names=None, parameters: Mapping
         return _from_state_space(simulator, source)
     if isinstance(simulator, control.NonlinearIOSystem):
         return _from_nonlinear(simulator, source)
+    if callable(simulator) and looks_like_black_box(simulator):
+        return _from_black_box(simulator, tuple(input_names or ()), tuple(output_names or ()), parameters, source)
     if callable(simulator) and len(inspect.signature(simulator).parameters) >= 4:
         names = tuple(output_names or ())
         plant = Plant(simulator, None, names, tuple(input_names or ()), names, dict(parameters or {}),

@@ -76,7 +76,31 @@ def find_structure(plant: Plant, states, inputs, outputs, input_units, output_un
     return Structure(
         plant, tuple(kinds), partner, ratio, entry, scale, tuple(units), funits, iunits, low, high, rms_u,
         np.max(np.abs(inputs), axis=0) if nu else np.zeros(0), in_units, np.min(outputs, axis=0),
-        np.max(outputs, axis=0), out_units, output_state, time_scale, float(length), tuple(free), mobility)
+        np.max(outputs, axis=0), out_units, output_state, time_scale, float(length), tuple(free), mobility,
+        _hook_scale(plant, inputs, outputs))
+
+
+def _hook_scale(plant, inputs, outputs):
+    """Size of a constant at each force hook of a black box that moves the outputs as much as they vary."""
+    if not plant.force_names:
+        return ()
+    nu, values, still = plant.sizes[1], plant.black_box.parameters, np.zeros(plant.sizes[0])
+    U = np.zeros((len(inputs), nu + len(plant.force_names)))
+    U[:, :nu] = inputs
+    spread, found = np.std(outputs, axis=0) + 1e-300, []
+    for j in range(len(plant.force_names)):
+        size = 1.0
+        for _ in range(3):  # the response need not be linear
+            pushed = U.copy()
+            pushed[:, nu + j] = size
+            base, moved = plant.black_box.run(U, values, still), plant.black_box.run(pushed, values, still)
+            if base is None or moved is None or not np.all(np.isfinite(moved - base)):
+                size *= 1e-3
+                continue
+            response = float(np.max(np.sqrt(np.mean((moved - base) ** 2, axis=0)) / spread))
+            size = size / response if response > 1e-9 else size
+        found.append(size)
+    return tuple(found)
 
 
 def _joined_motion(points, states, kinds, low, high):
@@ -150,7 +174,7 @@ def _kind_of(i, plant, partner, units, output_state, output_units):
         return "position"
     if i in partner:
         return "velocity"
-    if plant.dt and plant.linear:
+    if plant.black_box is not None or (plant.dt and plant.linear):
         return "abstract"
     for k, state in enumerate(output_state):
         if state == i:

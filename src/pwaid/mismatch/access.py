@@ -1,0 +1,115 @@
+"""Before the long work: does the simulator run over the recordings, how long does it take, where does it start?"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pwaid.errors import InputError
+from pwaid.mismatch.dataset import Dataset
+from pwaid.mismatch.plant import Plant
+
+__all__ = ["check_black_box", "prepare_black_box"]
+
+PULSED = 4.0  # time constants over which inputs lead to the start of a recording
+SKIPPED = 0.25  # of a recording, at most
+
+
+def _nominal(plant: Plant, data: Dataset, r: int) -> np.ndarray:
+    """The black box as it came, over one recording."""
+    a, b = data.recordings[r]
+    U = np.zeros((b - a, plant.sizes[1] + len(plant.force_names)))
+    U[:, :plant.sizes[1]] = data.U[a:b]
+    try:
+        return plant.black_box.call(U, plant.black_box.parameters, np.zeros(plant.sizes[0]))
+    except InputError:
+        raise
+    except Exception as error:
+        raise InputError(f"the simulator raised {type(error).__name__}: {error} over recording {data.names[r]} (u of "
+                         f"shape {data.U[a:b].shape}); expected y of shape ({b - a}, {plant.sizes[2]})") from error
+
+
+def prepare_black_box(plant: Plant, data: Dataset, held: Dataset) -> tuple[Plant, Dataset, Dataset, list[str]]:
+    """The black box tried on every recording, its unknown start made free where that can be done.
+
+    A callable without x0 is led to its start by inputs in front of the recording; where it is not at rest under
+    constant inputs, what the start spoils is left out of the comparison. Returns the plant, the training and the
+    held-out data, and notes.
+    """
+    simulated, tested = check_black_box(plant, data), check_black_box(plant, held)
+    if plant.black_box.start.size:
+        return plant, data, held, []
+    led = _with_history(plant, data, simulated)
+    if led is not None:
+        seconds = led.black_box.pulses[-1][2] * data.sample_time
+        return led, data, held, [f"the simulator takes no x0: its start is fitted as pulses of the inputs over {seconds:.3g}"
+                                 " s before every recording"]
+    notes = ["the simulator takes no x0 and is not at rest under constant inputs: it starts as it likes, and an error "
+             "that dies out may be its start; an x0 argument would let pwaid fit it"]
+    samples = max(_spoiled(data, simulated), _spoiled(held, tested))
+    if not samples:
+        return plant, data, held, notes
+    notes.append(f"the first {samples * data.sample_time:.3g} s of every recording are not compared: the error there "
+                 "dies out, as from another start")
+    return plant, data.without_start(samples), held.without_start(samples), notes
+
+
+def _with_history(plant: Plant, data: Dataset, simulated) -> Plant | None:
+    """The plant led to its start by inputs, where inputs held in front of a recording leave it as it is."""
+    spread = np.std(data.Y, axis=0) + 1e-300
+    rate = np.std(np.diff(data.Y, axis=0), axis=0) + 1e-300
+    shortest = int(np.min(np.diff(data.recordings)))
+    samples = int(np.clip(PULSED * np.median(spread / rate), 8, max(8, shortest // 2)))
+    a, b = data.recordings[0]
+    rms = np.sqrt(np.mean(data.U**2, axis=0))
+    for base in (np.zeros(data.U.shape[1]), data.U[a]):
+        box = plant.black_box.with_history(samples, base, rms)
+        U = np.zeros((b - a, plant.sizes[1] + len(plant.force_names)))
+        U[:, :plant.sizes[1]] = data.U[a:b]
+        y = box.run(U, box.parameters, np.zeros(box.n_starts))
+        if y is not None and np.all(np.abs(y - simulated[0]) < 1e-6 * spread):
+            return replace(plant, black_box=box, state_names=tuple(f"start_{i}" for i in range(box.n_starts)))
+    return None
+
+
+def check_black_box(plant: Plant, data: Dataset) -> list[np.ndarray]:
+    """The nominal outputs over every recording, the callable's contract checked on the way.
+
+    Raises
+    ------
+    InputError
+        When it raises, returns another shape or numbers that are not finite, or is not repeatable.
+    """
+    found = []
+    for r, name in enumerate(data.names):
+        y = _nominal(plant, data, r)
+        if not np.all(np.isfinite(y)):
+            k = int(np.argwhere(~np.isfinite(y))[0, 0])
+            raise InputError(f"the simulation of {name} is not finite from sample {k} on (it diverges); check signs, "
+                             "units and the internal step of the simulator")
+        found.append(y)
+    again = _nominal(plant, data, 0)
+    if not np.allclose(again, found[0], rtol=1e-9, atol=1e-12 * (1 + np.max(np.abs(again)))):
+        raise InputError(f"two simulations of {data.names[0]} differ by up to {np.max(np.abs(again - found[0])):.3g}; "
+                         "expected the same outputs for the same inputs: fix its random numbers and its start")
+    return found
+
+
+def _spoiled(data: Dataset, simulated: list[np.ndarray]) -> int:
+    """Samples at the beginning of the recordings in which the unknown start shows.
+
+    Blocks of a fortieth of a recording count while their error is more than three times the median block's of the
+    second half.
+    """
+    found = 0
+    for (a, b), y in zip(data.recordings, simulated, strict=True):
+        block = max(1, (b - a) // 40)
+        count = (b - a) // block
+        e = ((data.Y[a:b] - y) / (np.std(data.Y, axis=0) + 1e-300))[:count * block]
+        rms = np.sqrt(np.mean(e.reshape(count, -1) ** 2, axis=1))
+        usual, k = 3.0 * np.median(rms[count // 2:]), 0
+        while k < SKIPPED * count and rms[k] > usual:
+            k += 1
+        found = max(found, k * block)
+    return found
