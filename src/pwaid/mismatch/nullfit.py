@@ -123,6 +123,8 @@ def _positive_start(plant, X0, data):
 def _growth(plant: Plant, states, inputs) -> float:
     """Largest real part of the linearisation's eigenvalues (per second), median over visited points."""
     found = []
+    if plant.black_box is not None or not plant.sizes[0]:
+        return -np.inf  # nothing that pwaid could restart in the middle of a recording
     rng = np.random.default_rng(0)
     for k in rng.integers(0, len(states), 8):
         x, u = states[k], inputs[k]
@@ -216,7 +218,7 @@ def prepare(plant: Plant, train: Dataset, test: Dataset, input_units, output_uni
         if share > 0.9:
             raise InputError("the simulation diverges from every start state; check signs and units of the simulator")
     ranges = np.maximum(np.quantile(np.abs(X[np.all(np.isfinite(X), axis=1)]), 0.99, axis=0), 1e-9)
-    ranges = np.minimum(ranges, 1e6)
+    ranges = np.maximum(np.minimum(ranges, 1e6), plant.start_sizes)
     for k, i in enumerate(rough.output_state):
         if i >= 0:
             ranges[i] = np.max(np.abs(train.Y[:, k])) + 1e-9
