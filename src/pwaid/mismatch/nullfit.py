@@ -232,6 +232,8 @@ def prepare(plant: Plant, train: Dataset, test: Dataset, input_units, output_uni
     X0t = first_states(plant, mapping, test)
     if not plant.linear:
         X0t = _usable_start(model, null.theta, X0t, test)
+    if plant.black_box is not None:  # outputs do not tell its start: come near it before errors are weighted finely
+        X0t = fit_starts(model, test, scale, theta, X0t, ranges, 12).X0
     nominal_test = fit_starts(model, test, sigma, theta, X0t, ranges, 12)
     null_test = fit_starts(model, test, sigma, null.theta, X0t, ranges, 12)
     length = float(np.max(np.diff(train.recordings)) * train.sample_time)
