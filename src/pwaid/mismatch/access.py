@@ -10,7 +10,7 @@ from pwaid.errors import InputError
 from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.plant import Plant
 
-__all__ = ["check_black_box", "prepare_black_box"]
+__all__ = ["check_black_box", "failed_trials", "prepare_black_box"]
 
 PULSED = 4.0  # time constants over which inputs lead to the start of a recording
 SKIPPED = 0.25  # of a recording, at most
@@ -33,9 +33,9 @@ def _nominal(plant: Plant, data: Dataset, r: int) -> np.ndarray:
 def prepare_black_box(plant: Plant, data: Dataset, held: Dataset) -> tuple[Plant, Dataset, Dataset, list[str]]:
     """The black box tried on every recording, its unknown start made free where that can be done.
 
-    A callable without x0 is led to its start by inputs in front of the recording; where it is not at rest under
-    constant inputs, what the start spoils is left out of the comparison. Returns the plant, the training and the
-    held-out data, and notes.
+    A callable without x0 is led to its start by inputs in front of the recording; where they cannot (it is not at
+    rest before, or hardly answers small inputs), what the start spoils is left out of the comparison. Returns the
+    plant, the training and the held-out data, and notes.
     """
     simulated, tested = check_black_box(plant, data), check_black_box(plant, held)
     if plant.black_box.start.size:
@@ -43,16 +43,24 @@ def prepare_black_box(plant: Plant, data: Dataset, held: Dataset) -> tuple[Plant
     led = _with_history(plant, data, simulated)
     if led is not None:
         seconds = led.black_box.pulses[-1][2] * data.sample_time
-        return led, data, held, [f"the simulator takes no x0: its start is fitted as pulses of the inputs over {seconds:.3g}"
-                                 " s before every recording"]
-    notes = ["the simulator takes no x0 and is not at rest under constant inputs: it starts as it likes, and an error "
-             "that dies out may be its start; an x0 argument would let pwaid fit it"]
+        return led, data, held, ["the simulator takes no x0: its start is fitted as pulses of the inputs over "
+                                 f"{seconds:.3g} s before every recording"]
+    notes = ["the simulator takes no x0, and inputs in front of a recording do not set its start: it starts as it "
+             "likes, and an error that dies out may be its start; an x0 argument would let pwaid fit it"]
     samples = max(_spoiled(data, simulated), _spoiled(held, tested))
     if not samples:
         return plant, data, held, notes
     notes.append(f"the first {samples * data.sample_time:.3g} s of every recording are not compared: the error there "
                  "dies out, as from another start")
     return plant, data.without_start(samples), held.without_start(samples), notes
+
+
+def failed_trials(plant: Plant) -> list[str]:
+    """A note when the simulator raised on the way: such trials counted as diverged."""
+    raised = sorted(plant.black_box.raised) if plant.black_box is not None else []
+    more = f" and {len(raised) - 1} other errors" if len(raised) > 1 else ""
+    return [f"the simulator raised {raised[0]}{more} at some trial inputs or parameters: these count as diverged"
+            ] if raised else []
 
 
 def _with_history(plant: Plant, data: Dataset, simulated) -> Plant | None:
@@ -68,9 +76,25 @@ def _with_history(plant: Plant, data: Dataset, simulated) -> Plant | None:
         U = np.zeros((b - a, plant.sizes[1] + len(plant.force_names)))
         U[:, :plant.sizes[1]] = data.U[a:b]
         y = box.run(U, box.parameters, np.zeros(box.n_starts))
-        if y is not None and np.all(np.abs(y - simulated[0]) < 1e-6 * spread):
+        if y is not None and np.all(np.abs(y - simulated[0]) < 1e-6 * spread) and _leads_evenly(box, U, y):
             return replace(plant, black_box=box, state_names=tuple(f"start_{i}" for i in range(box.n_starts)))
     return None
+
+
+def _leads_evenly(box, U, y) -> bool:
+    """Whether small pulses move the start about as much, in proportion, as large ones: only then can they be fitted."""
+    for i, size in enumerate(box.sizes):
+        moved = []
+        for factor in (1e-3, 1.0):
+            pulse = np.zeros(box.n_starts)
+            pulse[i] = factor * size
+            other = box.run(U, box.parameters, pulse)
+            if other is None or not np.all(np.isfinite(other)):
+                return False
+            moved.append(np.linalg.norm(other - y) / factor)
+        if not moved[1] / 3 <= moved[0] <= 3 * moved[1]:
+            return False
+    return True
 
 
 def check_black_box(plant: Plant, data: Dataset) -> list[np.ndarray]:

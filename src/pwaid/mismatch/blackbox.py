@@ -32,13 +32,28 @@ def _arguments(simulate: Callable):
 
 
 def looks_like_black_box(simulate: Callable) -> bool:
-    """Whether a callable is ``simulate(u, ...)`` rather than a right-hand side ``f(t, x, u, params)``."""
+    """Whether a callable is ``simulate(u, ...)`` rather than a right-hand side ``f(t, x, u, params)``.
+
+    Raises
+    ------
+    InputError
+        When it can be neither.
+    """
     arguments = _arguments(simulate)
     if arguments is None:
         return True
+    if not arguments:
+        raise InputError("the simulator takes no argument; expected simulate(u) or a right-hand side "
+                         "f(t, x, u, params)")
     variable = (inspect.Parameter.VAR_POSITIONAL, inspect.Parameter.VAR_KEYWORD)
-    needed = [a for a in arguments[1:] if a.default is a.empty and a.kind not in variable and a.name not in OPTIONS]
-    return bool(arguments) and not needed
+    needed = [a.name for a in arguments[1:]
+              if a.default is a.empty and a.kind not in variable and a.name not in OPTIONS]
+    if len(needed) >= 2:
+        return False
+    if needed:
+        raise InputError(f"the simulator needs {needed[0]!r} besides u; expected simulate(u) with the options "
+                         f"{', '.join(OPTIONS)}, or a right-hand side f(t, x, u, params)")
+    return True
 
 
 class BlackBox:
@@ -134,8 +149,8 @@ class BlackBox:
     def run(self, U, params: Mapping[str, float], moved) -> np.ndarray | None:
         """y (N, n_outputs) for inputs and forces U (N, n_inputs + n_forces) and a start `moved` from the nominal
         one; None where the callable raises. A result that is not finite is returned as it is."""
-        key = hashlib.blake2b(np.ascontiguousarray(U).tobytes() + repr(sorted(params.items())).encode() + np.asarray(moved).tobytes(),
-                              digest_size=16).digest()
+        asked = (np.ascontiguousarray(U).tobytes(), repr(sorted(params.items())).encode(), np.asarray(moved).tobytes())
+        key = hashlib.blake2b(b"".join(asked), digest_size=16).digest()
         with self._lock:  # one call at a time: nobody knows what the callable keeps
             if key not in self._kept:
                 H = self._history(U.shape[1], moved)

@@ -20,13 +20,13 @@ __all__ = ["simulate_black_box"]
 _V, _M = f8[::1], f8[:, ::1]
 
 
-@njit(types.void(EFFECT_TYPE, _M, _V, f8, f8, _V, _M, i8[::1], _V, _M), cache=True, nogil=True, error_model="numpy")
-def _before(effect, U, delay, Ts, start, x, P, ii, q, V):
+@njit(types.void(EFFECT_TYPE, _M, _V, f8, _V, _M, i8[::1], _V, _M), cache=True, nogil=True, error_model="numpy")
+def _before(effect, U, delay, Ts, x, P, ii, q, V):
     """One law at the command over one recording: V from U; parameters it changes are changed in P."""
     n, nu = U.shape
     u, xs, dx = np.empty(nu), np.empty(x.size), np.zeros(x.size)
     for k in range(n):
-        t = start + k * Ts
+        t = k * Ts
         _input_at(U, 0, n, k, 0, 1, delay, u, Ts, 0.0)
         xs[:] = x
         effect(0, t, Ts, x, xs, u, P[k], dx, ii, q)
@@ -34,12 +34,12 @@ def _before(effect, U, delay, Ts, start, x, P, ii, q, V):
         effect(1, t, Ts, x, xs, V[k], P[k], dx, ii, q)
 
 
-@njit(types.void(EFFECT_TYPE, _M, _M, f8, f8, _V, _M, i8[::1], _V), cache=True, nogil=True, error_model="numpy")
-def _behind(effect, Y, U, Ts, start, x, P, ii, q):
+@njit(types.void(EFFECT_TYPE, _M, _M, f8, _V, _M, i8[::1], _V), cache=True, nogil=True, error_model="numpy")
+def _behind(effect, Y, U, Ts, x, P, ii, q):
     """One law at the sensors over one recording, in place."""
     xs = x.copy()
     for k in range(len(Y)):
-        effect(3, start + k * Ts, Ts, x, xs, U[k], P[k], Y[k], ii, q)
+        effect(3, k * Ts, Ts, x, xs, U[k], P[k], Y[k], ii, q)
 
 
 def simulate_black_box(model, p, Q, delay, X0, data, limit: float):
@@ -65,7 +65,7 @@ def simulate_black_box(model, p, Q, delay, X0, data, limit: float):
 
 
 def _one(model, box, U, p, Q, delay, moved, Ts, lead, limit):
-    P, x, start = np.repeat(p[None], len(U), axis=0), np.zeros(model.nx + model.extra), -lead * Ts
+    P, x = np.repeat(p[None], len(U), axis=0), np.zeros(model.nx + model.extra)
     ports = np.zeros(U.shape[1])
     for k, e in enumerate(model.located):
         if e.place.kind == "output":
@@ -73,7 +73,7 @@ def _one(model, box, U, p, Q, delay, moved, Ts, lead, limit):
         ports[:len(delay)] = delay if e.effect.delays else 0.0
         _memory(e, model.II[k], U, x)
         V = np.empty_like(U)
-        _before(model.kernels[k], U, ports, Ts, start, x, P, model.II[k], Q[k], V)
+        _before(model.kernels[k], U, ports, Ts, x, P, model.II[k], Q[k], V)
         U = V
     params = {n: v for n, v in zip(model.settings.plant.parameters, p, strict=False) if n in box.parameters}
     for j, i in model.settings.plant.gains:
@@ -84,7 +84,7 @@ def _one(model, box, U, p, Q, delay, moved, Ts, lead, limit):
     y = y.copy()
     for k, e in enumerate(model.located):
         if e.place.kind == "output":
-            _behind(model.kernels[k], y, U, Ts, start, x, P, model.II[k], Q[k])
+            _behind(model.kernels[k], y, U, Ts, x, P, model.II[k], Q[k])
     return y[lead:]
 
 

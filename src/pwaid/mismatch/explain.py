@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from pwaid.errors import InputError
-from pwaid.mismatch.access import prepare_black_box
+from pwaid.mismatch.access import failed_trials, prepare_black_box
 from pwaid.mismatch.case import load_case
 from pwaid.mismatch.correction import correct
 from pwaid.mismatch.dataset import Dataset
@@ -135,6 +135,7 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
     named = decision.members[0].located[0].place.channel if decision.members else ""
     location = locate(problem, named, look=decision.verdict not in ("agreement", "parameters_only"))
     fallback = correct(problem, location) if decision.verdict == "unexplained" else None
+    notes += failed_trials(plant)
     report = build_report(problem, null, singles, pairs, screened, decision, location, notes,
                           len(located) + len(pairs), clock.perf_counter() - started, fallback)
     say(1.0, "done")

@@ -208,9 +208,10 @@ def _from_black_box(simulate, input_names, output_names, parameters, source: str
     def silent(t, x, u, params):
         return np.zeros(ny)
 
-    hook = (" and at its force" if box.forces else "; effects that depend on a state (friction, stiffness, outflow) "
-            "cannot be told apart, nor can forces: a hook simulate(u, force=d) or the right-hand side would let them in")
-    notes = [f"the simulator is a black box: effects are tried at its inputs and outputs{hook}"]
+    places = "its inputs, its force and its outputs" if box.forces else "its inputs and outputs"
+    hook = "" if box.forces else "a hook simulate(u, force=d) would let in forces, "
+    notes = [f"the simulator is a black box: effects are tried at {places}. Effects that depend on a state (friction, "
+             f"stiffness, outflow) cannot be told apart: {hook}the right-hand side would let in all"]
     if gains:
         notes.append("the simulator takes no params: the gain of every input is refitted in their place")
     return Plant(_still, silent, tuple(f"x0_{i}" for i in range(box.start.size)), box.inputs, box.outputs, values, 1.0,

@@ -16,7 +16,7 @@ from pwaid.mismatch.effects import base as effect_base
 from pwaid.mismatch.hypotheses import Hypothesis
 from pwaid.mismatch.model import Model
 
-__all__ = ["repaired_source", "repaired_system"]
+__all__ = ["header", "kernel_source", "law_rows", "repaired_source", "repaired_system", "without_future"]
 
 
 def repaired_system(hypothesis: Hypothesis, sample_time: float) -> control.NonlinearIOSystem:
@@ -44,7 +44,8 @@ def _law_name(located) -> str:
     return f"law_{located.effect.id}_{located.effect.kernel.__name__}"
 
 
-def _kernel_source(model: Model) -> str:
+def kernel_source(model: Model) -> str:
+    """Text of the laws of a model and of the helpers they call."""
     helpers = [effect_base.push, effect_base.slide]
     parts = [inspect.getsource(f.py_func).split("\n", 1)[1] for f in helpers]
     done = set()
@@ -57,14 +58,30 @@ def _kernel_source(model: Model) -> str:
     return "\n\n".join(p.strip("\n") + "\n" for p in parts)
 
 
-def _header(hypothesis: Hypothesis, rows) -> list[str]:
+_SYSTEM = """numpy and control. `build()` gives a discrete-time control.nlsys with
+the inputs and outputs of the nominal simulator; `simulate(t, u, x0)` runs it over a recording."""
+
+
+def header(hypothesis: Hypothesis, rows, use: str = _SYSTEM) -> list[str]:
+    """The opening text of repaired_simulator.py; `use` says what it needs and offers."""
     lines = ['"""The simulator with the missing physics put in, written by pwaid.', ""]
     lines += [f"    {e.effect.law}    ({e.label})" for e in hypothesis.located] or ["    no effect was named: "
                                                                                     "refitted parameters only"]
     lines += [""] + [f"    {text}" for text in rows]
-    lines += ["", "Runs without pwaid: needs numpy and control. `build()` gives a discrete-time control.nlsys with",
-              "the inputs and outputs of the nominal simulator; `simulate(t, u, x0)` runs it over a recording.", '"""']
-    return lines
+    return [*lines, "", f"Runs without pwaid: needs {use}", '"""']
+
+
+def law_rows(hypothesis: Hypothesis, where=lambda located: True) -> list[str]:
+    """One line of text for every law: function, integers, parameters, dry friction?, start of memory, delay."""
+    model = hypothesis.fit.model
+    rows = []
+    for k, (e, values) in enumerate(zip(model.located, model.parts(hypothesis.fit.theta), strict=True)):
+        if where(e):
+            q = np.concatenate([values, e.place.constants])
+            rows.append(f"    ({_law_name(e)}, {model.II[k].tolist()}, np.array({_literal(q)}), "
+                        f"{bool(e.effect.proximal)}, {e.effect.start!r}, "
+                        f"{float(values[0]) if e.effect.delays else 0.0!r}),")
+    return rows
 
 
 def repaired_source(hypothesis: Hypothesis, sample_time: float, simulator_source: str | None, rows=()) -> str:
@@ -77,34 +94,28 @@ def repaired_source(hypothesis: Hypothesis, sample_time: float, simulator_source
     """
     model = hypothesis.fit.model
     s = model.settings
-    parts = model.parts(hypothesis.fit.theta)
-    effects = []
-    for k, (e, values) in enumerate(zip(model.located, parts, strict=True)):
-        q = np.concatenate([values, e.place.constants])
-        effects.append(f"    ({_law_name(e)}, {model.II[k].tolist()}, np.array({_literal(q)}), "
-                       f"{bool(e.effect.proximal)}, {e.effect.start!r}, "
-                       f"{float(values[0]) if e.effect.delays else 0.0!r}),")
-    lines = _header(hypothesis, rows) if simulator_source is not None else []
+    lines = header(hypothesis, rows) if simulator_source is not None else []
     lines += ["from math import cos, exp, floor, sin, sqrt", "", "import control", "import numpy as np", ""]
     if simulator_source is not None:
-        lines += ["# --- the nominal simulator, unchanged ---", _strip_future(simulator_source).rstrip(), "",
+        lines += ["# --- the nominal simulator, unchanged ---", without_future(simulator_source).rstrip(), "",
                   "nominal_build = build", ""]
     refitted = {n: float(v) for n,
                 v in zip(s.plant.parameters, model.parameters(hypothesis.fit.theta), strict=False)}
-    lines += ["", "# --- the missing physics ---", _kernel_source(model), "",
+    lines += ["", "# --- the missing physics ---", kernel_source(model), "",
               f"SAMPLE_TIME = {sample_time!r}", f"SUBSTEPS = {1 if s.plant.dt else model.substeps}",
               f"DISCRETE = {bool(s.plant.dt)}", f"EXTRA_STATES = {model.extra}",
               f"FITTED_PARAMETERS = {refitted!r}", f"SPEED_OF = {s.partner.tolist()}",
               f"SPEED_RATIO = {s.ratio.tolist()}",
               "MISSING_PHYSICS = [  # law, where it acts, parameters, dry friction?, start of its memory, delay (s)",
-              *effects,
+              *law_rows(hypothesis),
               "]", _LOOP]
     if simulator_source is not None:
         lines += [_BUILD]
     return "\n".join(lines) + "\n"
 
 
-def _strip_future(text: str) -> str:
+def without_future(text: str) -> str:
+    """A module's text without its __future__ imports, which only stand at the top of a file."""
     return "\n".join(line for line in text.splitlines() if not line.startswith("from __future__"))
 
 

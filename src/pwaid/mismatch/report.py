@@ -19,6 +19,7 @@ from pwaid.mismatch.locate import Location
 from pwaid.mismatch.measures import fit_table
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.repaired import repaired_source, repaired_system
+from pwaid.mismatch.repaired_blackbox import black_box_source, repaired_black_box
 from pwaid.mismatch.summary import summary_text
 
 __all__ = ["SCHEMA", "Report", "build_report", "write_report"]
@@ -58,8 +59,9 @@ class Report:
 
     @cached_property
     def simulator(self):
-        """The repaired simulator as a discrete-time control.nlsys."""
-        return repaired_system(self.best, self.problem.train.sample_time)
+        """The repaired simulator: a discrete-time control.nlsys, or simulate(u) where that was given."""
+        black_box = self.problem.plant.black_box is not None
+        return (repaired_black_box if black_box else repaired_system)(self.best, self.problem.train.sample_time)
 
     def to_dict(self) -> dict:
         """The content of report.json."""
@@ -245,10 +247,11 @@ def write_report(report: Report, out: Path, simulator_source: str) -> None:
                     f"90 %: {v['low']:.4g} to {v['high']:.4g})")
     from pwaid.mismatch.html import html_page
 
+    write = repaired_source if report.problem.plant.black_box is None else black_box_source
     files = {"report.json": json.dumps(report.content, indent=1, allow_nan=False),
              "report.html": html_page(report),
              "report.txt": report.summary,
-             "repaired_simulator.py": repaired_source(report.best, report.problem.train.sample_time,
+             "repaired_simulator.py": write(report.best, report.problem.train.sample_time,
                                                       simulator_source,
                                                       rows)}
     out.mkdir(parents=True, exist_ok=True)

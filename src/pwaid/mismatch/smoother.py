@@ -263,8 +263,8 @@ def _rise(run, q, A, B, line, feed, d) -> float:
 def linearise(problem: Problem, samples: int = SAMPLES) -> Linearised | None:
     """The plant along the null trajectory of the training recordings, averaged down to about `samples` instants.
 
-    None where the null simulation ran away, and for a black box. Intervals stay below a tenth of the plant's time scale; what is
-    then still too long is shortened to the head of every segment.
+    None where the null simulation ran away, and for a black box. Intervals stay below a tenth of the plant's time
+    scale; what is then still too long is shortened to the head of every segment.
     """
     plant, data, fit = problem.plant, problem.train, problem.null
     nx = plant.sizes[0]
