@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -9,10 +10,12 @@ import numpy as np
 from pwaid.errors import InputError
 from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.plant import Plant
+from pwaid.recording import Recording
 
-__all__ = ["check_black_box", "failed_trials", "prepare_black_box"]
+__all__ = ["check_black_box", "check_names", "check_recordings", "failed_trials", "prepare_black_box"]
 
 PULSED = 4.0  # time constants over which inputs lead to the start of a recording
+SHORTEST = 20  # samples: fewer hold no block to bootstrap and no difference to estimate the noise from
 SKIPPED = 0.25  # of a recording, at most
 
 
@@ -28,6 +31,57 @@ def _nominal(plant: Plant, data: Dataset, r: int) -> np.ndarray:
     except Exception as error:
         raise InputError(f"the simulator raised {type(error).__name__}: {error} over recording {data.names[r]} (u of "
                          f"shape {data.U[a:b].shape}); expected y of shape ({b - a}, {plant.sizes[2]})") from error
+
+
+def check_recordings(plant: Plant, train: Sequence[Recording], test: Sequence[Recording]) -> None:
+    """Channels, lengths, sampling and independence of the recordings.
+
+    Raises
+    ------
+    InputError
+        For recordings that do not fit the simulator or each other, or that were used twice.
+    """
+    _, nu, ny = plant.sizes
+    for r in (*train, *test):
+        for have, want, what in ((r.inputs.shape[1], nu, "inputs"), (r.outputs.shape[1], ny, "outputs")):
+            if have != want:
+                raise InputError(f"{r.name} has {have} {what}, the simulator {want}; give the simulator's {what}")
+        if len(r) < SHORTEST:
+            raise InputError(f"{r.name} has {len(r)} samples; expected at least {SHORTEST}: record longer, or leave it "
+                             "out")
+    step = train[0].sample_time
+    for r in test:
+        if r.names != train[0].names:
+            raise InputError(f"{r.name} has the channels {r.names} and {train[0].name} {train[0].names}; expected the "
+                             "same channels in the same order")
+        if abs(r.sample_time / step - 1) > 1e-3:
+            raise InputError(f"the test recording {r.name} is sampled every {r.sample_time:g} s, the training ones "
+                             f"every {step:g} s; resample them to one clock")
+        used = next((q.name for q in train if _inside(r, q)), None)
+        if used is not None:
+            raise InputError(f"test recording {r.name} is also a training recording (its samples are in {used}); hold "
+                             "one out")
+    if plant.black_box is None and plant.dt and abs(plant.dt / step - 1) > 1e-3:
+        raise InputError(f"the simulator steps {plant.dt:g} s, the recordings are sampled every {step:g} s; resample "
+                         "one of them")
+
+
+def check_names(plant: Plant, tolerances, noise_floor) -> None:
+    """Raises InputError for a tolerance or a floor of something the simulator does not have."""
+    rows = ((tolerances, plant.parameters, "parameter"), (noise_floor, plant.output_names, "output"))
+    for given, known, what in rows:
+        for name, value in (given or {}).items():
+            if name not in known:
+                raise InputError(f"{name!r} is no {what} of the simulator; it has {', '.join(known) or 'none'}")
+            if not value > 0:
+                raise InputError(f"{name!r} was given {value!r}; expected a positive number")
+
+
+def _inside(r: Recording, q: Recording) -> bool:
+    """Whether all samples of r, inputs and outputs, are a stretch of q."""
+    a, b = (np.hstack([z.inputs, z.outputs]) for z in (r, q))
+    starts = np.flatnonzero(np.all(b[:len(b) - len(a) + 1] == a[0], axis=1)) if len(b) >= len(a) else ()
+    return any(np.array_equal(b[k:k + len(a)], a) for k in starts)
 
 
 def prepare_black_box(plant: Plant, data: Dataset, held: Dataset) -> tuple[Plant, Dataset, Dataset, list[str]]:
@@ -57,9 +111,9 @@ def prepare_black_box(plant: Plant, data: Dataset, held: Dataset) -> tuple[Plant
 
 def failed_trials(plant: Plant) -> list[str]:
     """A note when the simulator raised on the way: such trials counted as diverged."""
-    raised = sorted(plant.black_box.raised) if plant.black_box is not None else []
+    raised = sorted(plant.raised)
     more = f" and {len(raised) - 1} other errors" if len(raised) > 1 else ""
-    return [f"the simulator raised {raised[0]}{more} at some trial inputs or parameters: these count as diverged"
+    return [f"the simulator raised {raised[0]}{more} at some states, inputs or parameters: these count as diverged"
             ] if raised else []
 
 

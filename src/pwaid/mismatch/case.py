@@ -66,10 +66,14 @@ def load_case(folder) -> Case:
     unknown = sorted(set(table) - _KEYS)
     if unknown:
         raise InputError(f"{path} has the unknown key {unknown[0]!r}; expected one of {', '.join(sorted(_KEYS))}")
+    _check_kinds(path, table)
     train, test = list(table["train"]), list(table.get("test", []))
     both = sorted(set(train) & set(test))
     if both:
         raise InputError(f"{both[0]} is listed as training and as test recording; list it once")
+    twice = sorted({n for names in (train, test) for n in names if names.count(n) > 1})
+    if twice:
+        raise InputError(f"{twice[0]} is listed twice; list it once")
     if not train:
         raise InputError(f"{path} lists no training recording; expected at least one CSV file")
     inputs, outputs = dict(table["inputs"]), dict(table["outputs"])
@@ -80,14 +84,16 @@ def load_case(folder) -> Case:
             check_unit(str(unit))
         except InputError as error:
             raise InputError(f"column {name!r}: {error}") from error
-    plant, source = _load_simulator(folder / table["simulator"], inputs, outputs)
     units = {**inputs, **outputs}
 
     def read(name):
         file = folder / name
         if not file.is_file():
             raise InputError(f"{file} does not exist; expected a recording listed in case.toml")
-        return Recording.from_csv(file, list(inputs), list(outputs), time=table.get("time", "t"), units=units)
+        try:
+            return Recording.from_csv(file, list(inputs), list(outputs), time=table.get("time", "t"), units=units)
+        except InputError as error:
+            raise InputError(str(error) if name in str(error) else f"{name}: {error}") from error
 
     hold = table.get("hold", "zero")
     if hold not in ("zero", "first"):
@@ -97,11 +103,37 @@ def load_case(folder) -> Case:
     if strange:
         raise InputError(f"noise_floor names {strange[0]!r}, which is not an output; expected one of {list(outputs)}")
     free = table.get("free_parameters")
-    return Case(plant, tuple(read(n) for n in train), tuple(read(n) for n in test),
+    recordings = tuple(read(n) for n in train), tuple(read(n) for n in test)
+    plant, source = _load_simulator(folder / table["simulator"], inputs, outputs)
+    return Case(plant, *recordings,
                 None if free is None else tuple(free), tuple(inputs.values()), tuple(outputs.values()), floor,
                 tuple(tuple(g) for g in table.get("repeats", [])), hold == "first",
                 bool(table.get("controller") or table.get("closed_loop")), dict(table.get("tolerances", {})),
                 source)
+
+
+_KINDS = {
+    "train": (list, "a list of file names"), "test": (list, "a list of file names"),
+    "free_parameters": (list, "a list of names"), "repeats": (list, "a list of lists of file names"),
+    "inputs": (dict, "a table: column = unit"), "outputs": (dict, "a table: column = unit"),
+    "noise_floor": (dict, "a table: output = level"), "tolerances": (dict, "a table: parameter = share"),
+    "simulator": (str, "a file name"), "controller": (str, "a file name"), "time": (str, "a column name"),
+    "closed_loop": (bool, "true or false"),
+}
+
+
+def _check_kinds(path: Path, table: Mapping) -> None:
+    for key, (kind, wanted) in _KINDS.items():
+        if key in table and not isinstance(table[key], kind):
+            raise InputError(f"{key} in {path} is {table[key]!r}; expected {wanted}")
+    for key in ("train", "test", "free_parameters"):
+        odd = [v for v in table.get(key, []) if not isinstance(v, str)]
+        if odd:
+            raise InputError(f"{key} in {path} holds {odd[0]!r}; expected {_KINDS[key][1]}")
+    for key in ("noise_floor", "tolerances"):
+        for name, value in table.get(key, {}).items():
+            if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
+                raise InputError(f"{key} of {name!r} in {path} is {value!r}; expected a positive number")
 
 
 def _load_simulator(path: Path, inputs, outputs) -> tuple[Plant, str]:
@@ -114,13 +146,13 @@ def _load_simulator(path: Path, inputs, outputs) -> tuple[Plant, str]:
     sys.modules[name] = module
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise InputError(f"{path} raised {type(error).__name__}: {error}; it must import cleanly") from error
     if not hasattr(module, "build"):
         raise InputError(f"{path} has no build(); expected build() -> control.NonlinearIOSystem or StateSpace")
     try:
         system = module.build()
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise InputError(f"build() in {path} raised {type(error).__name__}: {error}; it must return a control system"
                          ) from error
     source = path.read_text(encoding="utf-8")

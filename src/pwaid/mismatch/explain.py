@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from pwaid.errors import InputError
-from pwaid.mismatch.access import failed_trials, prepare_black_box
+from pwaid.mismatch.access import check_names, check_recordings, failed_trials, prepare_black_box
 from pwaid.mismatch.case import load_case
 from pwaid.mismatch.correction import correct
 from pwaid.mismatch.dataset import Dataset
@@ -91,21 +91,15 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
     for w in caught:
         if not issubclass(w.category, SlowSimulationWarning):
             warnings.warn_explicit(w.message, w.category, w.filename, w.lineno)
-    _check_sizes(plant, train + test)
+    check_recordings(plant, train, test)
+    check_names(plant, tolerances, noise_floor)
     units = {**train[0].units, **(units or {})}
     data, held = Dataset.from_recordings(train), Dataset.from_recordings(test)
-    if abs(held.sample_time / data.sample_time - 1) > 1e-3:
-        raise InputError(f"the test recordings are sampled every {held.sample_time:g} s, the training ones every "
-                         f"{data.sample_time:g} s; resample them to one clock")
-    for r in test:
-        if any(len(r.time) == len(q.time) and np.array_equal(r.outputs, q.outputs) for q in train):
-            raise InputError(f"test recording {r.name} is also a training recording; hold one out")
     if plant.black_box is not None:
         plant, data, held, more = prepare_black_box(plant, data, held)
         notes += more
     say(0.02, "refitting the nominal simulator")
-    named = {r.name: r for r in (*train, *test)}
-    groups = [[named[n] for n in group if n in named] for group in repeats]
+    groups = _repeats(repeats, (*train, *test))
     kept = [g for g in groups if len(g) > 1 and _same_input(g)]
     if len(kept) < len(groups):
         notes.append("repeated recordings with different inputs (a closed loop?) say nothing about the floor: not used")
@@ -142,6 +136,14 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
     return report
 
 
+def _repeats(groups, recordings) -> list[list[Recording]]:
+    named = {r.name: r for r in recordings}
+    for name in (n for group in groups for n in group):
+        if name not in named:
+            raise InputError(f"repeats names {name!r}, which is no recording; expected names among {', '.join(named)}")
+    return [[named[n] for n in group] for group in groups]
+
+
 def _same_input(group) -> bool:
     """Whether recordings called repeats saw the same input, to 1 % of its variation."""
     n = min(len(r.time) for r in group)
@@ -158,17 +160,6 @@ def _worth_pairs(problem, null, singles) -> bool:
     return min(h.train_error for h in singles) > max(1.2 * floor, 0.002 * null.train_error)
 
 
-def _check_sizes(plant, recordings):
-    _, nu, ny = plant.sizes
-    for r in recordings:
-        if r.inputs.shape[1] != nu:
-            raise InputError(f"{r.name} has {r.inputs.shape[1]} inputs, the simulator {nu}; "
-                             "give the simulator's inputs")
-        if r.outputs.shape[1] != ny:
-            raise InputError(f"{r.name} has {r.outputs.shape[1]} outputs, the simulator {ny}; "
-                             "give the simulator's outputs")
-
-
 def explain_case(case_dir, out=None, jobs: int = 1, progress: Callable | None = None,
                  without: Sequence[str] = ()) -> Report:
     """Explain a case folder and write report.json, report.html and repaired_simulator.py.
@@ -183,12 +174,14 @@ def explain_case(case_dir, out=None, jobs: int = 1, progress: Callable | None = 
     InputError
         For an unusable case; nothing is written then.
     """
+    out = Path(out) if out is not None else Path(case_dir) / "explained"
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out} is a file; expected a folder for the results")
     case = load_case(case_dir)
     report = explain(case.plant, case.train, case.test or None, case.free, tolerances=case.tolerances,
                      noise_floor=case.noise_floor, repeats=case.repeats,
                      hold="first" if case.first_order_hold else
                      "zero", closed_loop=case.closed_loop, without=without, jobs=jobs, progress=progress,
                      source=case.simulator_source)
-    write_report(report, Path(out) if out is not None else Path(case_dir) / "explained",
-                 case.simulator_source)
+    write_report(report, out, case.simulator_source)
     return report

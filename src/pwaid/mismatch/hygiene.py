@@ -18,6 +18,9 @@ def hygiene(problem: Problem, closed_loop: bool = False) -> list[str]:
         notes += _distinct(name, y)
         notes += _flat(name, y)
         notes += _sign(name, y, problem.nominal.Y[:, k])
+        notes += [f"{name} is constant in {r}: nothing of it is tested there"
+                  for r, (a, b) in zip(problem.test.names, problem.test.recordings, strict=True)
+                  if np.ptp(problem.test.Y[a:b, k]) == 0]
     notes += _swapped(problem)
     for j, name in enumerate(plant.input_names):
         if np.ptp(data.U[:, j]) == 0:

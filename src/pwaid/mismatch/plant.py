@@ -28,7 +28,9 @@ class Plant:
     """The nominal simulator as functions f(t, x, u, params) and g(t, x, u, params).
 
     `rhs` and `out` are their compiled forms, None when they do not compile; `parameters` maps every
-    name to its nominal value in a fixed order. `dt` is 0 for continuous time.
+    name to its nominal value in a fixed order; `constants` is what else params holds: texts, arrays, switches.
+    Where the functions raise, derivatives and outputs are NaN, and `raised` keeps what they said. `dt` is 0 for
+    continuous time.
 
     A black box has `black_box` instead of equations, `dt` = 1 (one call covers all samples), its start as
     states, `force_names` for its force hook, and `gains`, pairs (input, position of its gain parameter).
@@ -40,6 +42,8 @@ class Plant:
     input_names: tuple[str, ...]
     output_names: tuple[str, ...]
     parameters: Mapping[str, float] = field(default_factory=dict)
+    constants: Mapping[str, object] = field(default_factory=dict)
+    raised: set = field(default_factory=set, repr=False, compare=False)
     dt: float = 0.0
     rhs: object = None
     out: object = None
@@ -72,7 +76,7 @@ class Plant:
             dx = np.empty(len(x))
             self.rhs(t, x, u, p, dx)
             return dx
-        return np.asarray(self.update(t, x, u, self.as_dict(p)), dtype=float).ravel()
+        return self._called(self.update, t, x, u, p, len(x))
 
     def outputs(self, x, u, p=None, t: float = 0.0) -> np.ndarray:
         """y at one point."""
@@ -84,10 +88,18 @@ class Plant:
             return y
         if self.output is None:
             return x
-        return np.asarray(self.output(t, x, u, self.as_dict(p)), dtype=float).ravel()
+        return self._called(self.output, t, x, u, p, len(self.output_names))
+
+    def _called(self, function, t, x, u, p, size: int) -> np.ndarray:
+        try:
+            return np.asarray(function(t, x, u, self.as_dict(p)), dtype=float).ravel()
+        except Exception as error:  # the simulation ends here; what was said is reported
+            self.raised.add(f"{type(error).__name__}: {error}")
+            return np.full(size, np.nan)
 
     def as_dict(self, p) -> dict[str, float]:
-        return dict(zip(self.parameters, p, strict=False))
+        """What the user's functions get as params."""
+        return {**self.constants, **dict(zip(self.parameters, p, strict=False))}
 
 
 @njit(RHS_TYPE.signature, cache=True, nogil=True, error_model="numpy")
@@ -135,9 +147,8 @@ def _from_state_space(system: control.StateSpace, source: str) -> Plant:
         m = matrices(params)
         return m["C"] @ x + m["D"] @ u
 
-    return Plant(update, output, tuple(system.state_labels), tuple(system.input_labels),
-                 tuple(system.output_labels),
-                 parameters, _time_step(system), _linear_rhs, _linear_out, source, linear=True)
+    return Plant(update, output, tuple(system.state_labels), tuple(system.input_labels), tuple(system.output_labels),
+                 parameters, dt=_time_step(system), rhs=_linear_rhs, out=_linear_out, source=source, linear=True)
 
 
 def _time_step(system) -> float:
@@ -149,46 +160,73 @@ def _time_step(system) -> float:
 
 
 def _from_nonlinear(system: control.NonlinearIOSystem, source: str) -> Plant:
-    parameters = {}
+    parameters, constants = {}, {}
     for name, value in (system.params or {}).items():
-        if isinstance(value, int | float | np.floating | np.integer):
-            parameters[name] = float(value)
-        else:
-            raise InputError(f"parameter {name!r} of the simulator is {type(value).__name__}; expected one number: "
-                             "split arrays into scalars")
+        number = isinstance(value, int | float | np.floating | np.integer) and not isinstance(value, bool)
+        (parameters if number else constants)[name] = float(value) if number else value
     if system.updfcn is None:
         raise InputError("the simulator has no update function; give control.nlsys(update, output, ...)")
     plant = Plant(system.updfcn, system.outfcn, tuple(system.state_labels), tuple(system.input_labels),
-                  tuple(system.output_labels), parameters, _time_step(system), source=source)
-    return _compile(_checked(plant))
+                  tuple(system.output_labels), parameters, constants, dt=_time_step(system), source=source,
+                  notes=tuple(f"parameter {n} of the simulator is {type(v).__name__}: kept as it is"
+                              for n, v in constants.items()))
+    return _checked(plant)
+
+
+LEVELS = (0.1, 1.0, 0.0, 10.0, 100.0, 300.0, 1e3, 1e5)  # states at which a simulator may be at home
 
 
 def _checked(plant: Plant) -> Plant:
-    nx, nu, ny = plant.sizes
-    x, u = np.full(nx, 0.1), np.zeros(nu)
-    try:
+    """The plant compiled, after one evaluation at states of the first magnitude that works."""
+    failures = []
+    for level in LEVELS:
         with np.errstate(all="ignore"):
-            dx = np.asarray(plant.update(0.0, x, u, dict(plant.parameters)), dtype=float).ravel()
-            y = plant.outputs(x, u)
+            failures.append(_failure(plant, level))
+        if not failures[-1]:
+            return _compile(plant, max(1.0, level))
+    raise InputError(failures[0])
+
+
+def _failure(plant: Plant, level: float) -> str:
+    """What is wrong with derivatives and outputs at states of this magnitude, or an empty text.
+
+    Raises
+    ------
+    InputError
+        For a result of the wrong size, which no other state mends.
+    """
+    nx, nu, ny = plant.sizes
+    x, u, said = np.full(nx, level), np.zeros(nu), set(plant.raised)
+    at = f"at x = {x.tolist()}, u = {u.tolist()}"
+    try:
+        dx = np.asarray(plant.update(0.0, x.copy(), u.copy(), plant.as_dict(plant.vector())), dtype=float).ravel()
     except Exception as error:
-        raise InputError(f"the simulator raised {type(error).__name__}: {error}; expected derivatives at "
-                         f"x = {x.tolist()}, u = {u.tolist()}; correct the simulator or its params") from error
+        return (f"the simulator raised {type(error).__name__}: {error}; expected derivatives {at}; correct the "
+                "simulator or its params")
     if dx.size != nx:
         raise InputError(f"the simulator returned {dx.size} derivatives for {nx} states; return one per state")
+    y = plant.outputs(x, u)
+    if plant.raised - said:
+        return f"the output function raised {sorted(plant.raised - said)[0]}; expected outputs {at}"
     if y.size != ny:
         raise InputError(f"the simulator returned {y.size} outputs, expected {ny}; correct its output function")
-    return plant
+    if not (np.all(np.isfinite(dx)) and np.all(np.isfinite(y))):
+        return (f"the simulator returned derivatives {dx.tolist()} and outputs {y.tolist()} {at}; expected finite "
+                "numbers")
+    return ""
 
 
-def _compile(plant: Plant) -> Plant:
+def _compile(plant: Plant, scale: float) -> Plant:
     try:
-        rhs, out = compiled_pair(plant.update, plant.output, plant.sizes, plant.parameters)
+        rhs, out, raises = compiled_pair(plant.update, plant.output, plant.sizes, plant.parameters, scale,
+                                         plant.constants)
     except CompileFailure as failure:
         warnings.warn(
             f"the simulator runs in the plain Python loop ({failure}); expect minutes instead of seconds. "
-            "Simple arithmetic on x[i], u[j], params['name'] compiles.", SlowSimulationWarning, stacklevel=3)
-        return replace(plant, notes=(f"simulated in the plain Python loop: {failure}",))
-    return replace(plant, rhs=rhs, out=out)
+            "Simple arithmetic on x[i], u[j], params['name'] compiles.", SlowSimulationWarning, stacklevel=4)
+        return replace(plant, notes=(*plant.notes, f"simulated in the plain Python loop: {failure}"))
+    notes = ("the simulator can raise an error: a simulation that meets it counts as diverged there",) if raises else ()
+    return replace(plant, rhs=rhs, out=out, notes=(*plant.notes, *notes))
 
 
 def _still(t, x, u, params):
@@ -214,9 +252,9 @@ def _from_black_box(simulate, input_names, output_names, parameters, source: str
              f"stiffness, outflow) cannot be told apart: {hook}the right-hand side would let in all"]
     if gains:
         notes.append("the simulator takes no params: the gain of every input is refitted in their place")
-    return Plant(_still, silent, tuple(f"x0_{i}" for i in range(box.start.size)), box.inputs, box.outputs, values, 1.0,
-                 source=source, notes=tuple(notes), black_box=box, force_names=tuple(box.forces),
-                 force_units=tuple(box.forces.values()), gains=gains)
+    return Plant(_still, silent, tuple(f"x0_{i}" for i in range(box.start.size)), box.inputs, box.outputs, values,
+                 raised=box.raised, dt=1.0, source=source, notes=tuple(notes), black_box=box,
+                 force_names=tuple(box.forces), force_units=tuple(box.forces.values()), gains=gains)
 
 
 def as_plant(simulator, input_names=None, output_names=None, parameters: Mapping[str, float] | None = None,
@@ -248,8 +286,7 @@ def as_plant(simulator, input_names=None, output_names=None, parameters: Mapping
         return _from_black_box(simulator, tuple(input_names or ()), tuple(output_names or ()), parameters, source)
     if callable(simulator) and len(inspect.signature(simulator).parameters) >= 4:
         names = tuple(output_names or ())
-        plant = Plant(simulator, None, names, tuple(input_names or ()), names, dict(parameters or {}),
-                      source=source)
-        return _compile(_checked(plant))
+        return _checked(Plant(simulator, None, names, tuple(input_names or ()), names, dict(parameters or {}),
+                              source=source))
     raise InputError(f"the simulator is a {type(simulator).__name__}; expected control.nlsys, control.ss, a transfer "
                      "function, a right-hand side f(t, x, u, params), or a callable simulate(u)")

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pwaid.errors import InputError
 from pwaid.mismatch.plant import Plant
 from pwaid.mismatch.structure import Structure
 from pwaid.mismatch.units import parse_unit, unit_kind
@@ -42,7 +43,7 @@ def find_structure(plant: Plant, states, inputs, outputs, input_units, output_un
     low, high = np.quantile(states, 0.002, axis=0), np.quantile(states, 0.998, axis=0)
     rms_u = np.sqrt(np.mean(inputs**2, axis=0)) if nu else np.zeros(0)
     rng = np.random.default_rng(0)
-    points = [(low + (high - low) * rng.uniform(size=nx), rms_u * rng.normal(size=nu)) for _ in range(12)]
+    points = _points(plant, rng, low, high, rms_u)
     partner, ratio = _kinematics(plant, points, low, high)
     output_state, gains = _output_map(plant, points, low, high)
     in_units = tuple(parse_unit(u) for u in input_units)
@@ -101,6 +102,19 @@ def _hook_scale(plant, inputs, outputs):
             size = size / response if response > 1e-9 else size
         found.append(size)
     return tuple(found)
+
+
+def _points(plant, rng, low, high, rms_u, count: int = 12):
+    """States and inputs where the plant can be evaluated, within the ranges met."""
+    found = []
+    for _ in range(10 * count):
+        x, u = low + (high - low) * rng.uniform(size=len(low)), rms_u * rng.normal(size=len(rms_u))
+        if np.all(np.isfinite(plant.derivative(x, u))) and np.all(np.isfinite(plant.outputs(x, u))):
+            found.append((x, u))
+        if len(found) == count:
+            return found
+    raise InputError(f"the simulator gives finite derivatives at {len(found)} of {10 * count} states between "
+                     f"{low.tolist()} and {high.tolist()}; expected them wherever the recordings go")
 
 
 def _joined_motion(points, states, kinds, low, high):
