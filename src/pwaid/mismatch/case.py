@@ -85,13 +85,14 @@ def load_case(folder) -> Case:
         except InputError as error:
             raise InputError(f"column {name!r}: {error}") from error
     units = {**inputs, **outputs}
+    for name in (*train, *test):
+        if not (folder / name).is_file():
+            raise InputError(f"{folder / name} does not exist; expected a recording listed in case.toml")
+    plant, source = _load_simulator(folder / table["simulator"], inputs, outputs)
 
     def read(name):
-        file = folder / name
-        if not file.is_file():
-            raise InputError(f"{file} does not exist; expected a recording listed in case.toml")
         try:
-            return Recording.from_csv(file, list(inputs), list(outputs), time=table.get("time", "t"), units=units)
+            return Recording.from_csv(folder / name, list(inputs), list(outputs), time=table.get("time", "t"), units=units)
         except InputError as error:
             raise InputError(str(error) if name in str(error) else f"{name}: {error}") from error
 
@@ -103,9 +104,7 @@ def load_case(folder) -> Case:
     if strange:
         raise InputError(f"noise_floor names {strange[0]!r}, which is not an output; expected one of {list(outputs)}")
     free = table.get("free_parameters")
-    recordings = tuple(read(n) for n in train), tuple(read(n) for n in test)
-    plant, source = _load_simulator(folder / table["simulator"], inputs, outputs)
-    return Case(plant, *recordings,
+    return Case(plant, tuple(read(n) for n in train), tuple(read(n) for n in test),
                 None if free is None else tuple(free), tuple(inputs.values()), tuple(outputs.values()), floor,
                 tuple(tuple(g) for g in table.get("repeats", [])), hold == "first",
                 bool(table.get("controller") or table.get("closed_loop")), dict(table.get("tolerances", {})),

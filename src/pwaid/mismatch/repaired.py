@@ -28,7 +28,7 @@ def repaired_system(hypothesis: Hypothesis, sample_time: float) -> control.Nonli
     exec(compile(repaired_source(hypothesis, sample_time, None), "<repaired simulator>", "exec"), space)
     plant = hypothesis.fit.model.settings.plant
     names = list(plant.state_names) + [f"z{i}" for i in range(hypothesis.fit.model.extra)]
-    update, output = space["make_repaired"](plant.update, plant.output)
+    update, output = space["make_repaired"](plant.update, plant.output, plant.constants)
     return control.nlsys(update, output, inputs=list(plant.input_names), outputs=list(plant.output_names),
                          states=names,
                          params={n: float(v) for n,
@@ -121,9 +121,16 @@ def without_future(text: str) -> str:
 
 _LOOP = '''
 
-def make_repaired(nominal_update, nominal_output):
-    """Update and output functions of the repaired simulator around those of the nominal one."""
+def make_repaired(nominal_update, nominal_output, constants=None):
+    """Update and output functions of the repaired simulator around those of the nominal one.
+
+    constants: what the nominal params hold besides numbers.
+    """
     names = list(FITTED_PARAMETERS)
+
+    def mapping(p):
+        return {**(constants or {}), **dict(zip(names, p))}
+
     n = len(SPEED_OF)
     delay_steps = [int(np.ceil(e[5] / SAMPLE_TIME)) + 1 if e[5] > 0 else 0 for e in MISSING_PHYSICS]
     h = SAMPLE_TIME / SUBSTEPS
@@ -132,7 +139,7 @@ def make_repaired(nominal_update, nominal_output):
         return np.array([params.get(k, FITTED_PARAMETERS[k]) for k in names]) if names else np.zeros(1)
 
     def nominal(t, x, u, p):
-        return np.asarray(nominal_update(t, x, u, dict(zip(names, p))), dtype=float).ravel()
+        return np.asarray(nominal_update(t, x, u, mapping(p)), dtype=float).ravel()
 
     def every(phase, t, step, x, xs, u, p, dx):  # all laws in one phase
         for law, ii, q, *_ in MISSING_PHYSICS:
@@ -216,7 +223,7 @@ def make_repaired(nominal_update, nominal_output):
         if nominal_output is None:
             y = xs[:n].copy()
         else:
-            y = np.asarray(nominal_output(t, xs[:n], us, dict(zip(names, p))), dtype=float).ravel().copy()
+            y = np.asarray(nominal_output(t, xs[:n], us, mapping(p)), dtype=float).ravel().copy()
         every(3, t, SAMPLE_TIME, x, xs, us, p, y)
         return y
 
@@ -248,6 +255,8 @@ _BUILD = '''
 def build():
     """The repaired simulator as a discrete-time control.nlsys."""
     system = nominal_build()
+    if isinstance(system, control.TransferFunction):
+        system = control.ss(system)
     if isinstance(system, control.StateSpace):
         A, B, C, D = (np.array(M) for M in (system.A, system.B, system.C, system.D))
 
@@ -264,7 +273,8 @@ def build():
             return C @ x + D @ u
     else:
         nominal_update, nominal_output = system.updfcn, system.outfcn
-    update, output = make_repaired(nominal_update, nominal_output)
+    constants = {k: v for k, v in (system.params or {}).items() if k not in FITTED_PARAMETERS}
+    update, output = make_repaired(nominal_update, nominal_output, constants)
     states = list(system.state_labels) + [f"z{i}" for i in range(EXTRA_STATES)]
     return control.nlsys(update, output, inputs=list(system.input_labels), outputs=list(system.output_labels),
                          states=states, params=dict(FITTED_PARAMETERS), dt=SAMPLE_TIME, name="repaired")
