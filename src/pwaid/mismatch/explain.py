@@ -15,11 +15,12 @@ import numpy as np
 from pwaid.errors import InputError
 from pwaid.mismatch.access import check_names, check_recordings, failed_trials, prepare_black_box
 from pwaid.mismatch.case import load_case
+from pwaid.mismatch.closed_loop import closed_loop_report, make_loop
 from pwaid.mismatch.correction import correct
 from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.decide import Thresholds, at_floor, decide
 from pwaid.mismatch.effects.registry import CATALOGUE, effect_by_id
-from pwaid.mismatch.hygiene import hygiene
+from pwaid.mismatch.hygiene import hygiene, with_feedback
 from pwaid.mismatch.hypotheses import fit_pairs, fit_shortlist, floor_square, null_hypothesis
 from pwaid.mismatch.locate import locate
 from pwaid.mismatch.nullfit import prepare
@@ -43,7 +44,8 @@ def _split(train: Sequence[Recording]) -> tuple[list[Recording], list[Recording]
 def explain(simulator, train, test=None, free_parameters: Sequence[str] | None = None, *,
             units: Mapping | None = None,
             tolerances: Mapping[str, float] | None = None, noise_floor: Mapping[str, float] | None = None,
-            repeats=(), hold: str = "zero", closed_loop: bool = False, effects=None,
+            repeats=(), hold: str = "zero", closed_loop: bool = False, controller=None,
+            references: Mapping[str, np.ndarray] | None = None, effects=None,
             without: Sequence[str] = (),
             jobs: int = 1, progress: Callable | None = None, thresholds: Thresholds | None = None,
             source: str = "") -> Report:
@@ -60,6 +62,8 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
     units : unit per channel name, where the recordings carry none.
     tolerances : relative tolerance per free parameter; 0.3 by default.
     noise_floor : level per output, in its unit. repeats : groups of recording names under one input.
+    closed_loop : whether the recordings come from a closed loop. controller : the control system that closed it,
+        from (references, measured outputs) to the plant inputs; `references` its signals (N, n) by recording name.
     effects : the catalogue to try; the built-in one plus registered effects by default.
     without : effect ids left out of the catalogue.
     jobs : threads. progress : callable ``progress(fraction, text)``.
@@ -93,6 +97,9 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
             warnings.warn_explicit(w.message, w.category, w.filename, w.lineno)
     check_recordings(plant, train, test)
     check_names(plant, tolerances, noise_floor)
+    loop = None
+    if controller is not None:
+        loop = make_loop(controller, plant, references or {}, train[0].sample_time, [r.name for r in test])
     units = {**train[0].units, **(units or {})}
     data, held = Dataset.from_recordings(train), Dataset.from_recordings(test)
     if plant.black_box is not None:
@@ -107,7 +114,8 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
                       [units.get(n, "") for n in train[0].output_names], free_parameters, tolerances,
                       noise_floor,
                       [[r.outputs for r in g] for g in kept], hold == "first")
-    notes += hygiene(problem, closed_loop)
+    notes += hygiene(problem, closed_loop, loop is not None)
+    problem = with_feedback(problem, closed_loop or loop is not None)
     catalogue = [e for e in (CATALOGUE if effects is None else effects) if e.id not in without]
     located = locate_effects(catalogue, problem.structure)
     say(0.15, f"screening {len(located)} candidates")
@@ -130,8 +138,14 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
     location = locate(problem, named, look=decision.verdict not in ("agreement", "parameters_only"))
     fallback = correct(problem, location) if decision.verdict == "unexplained" else None
     notes += failed_trials(plant)
+    closed = None
+    if loop is not None:
+        best = (fallback if fallback is not None and fallback.share > 0 else None) or decision.chosen or null
+        closed, more = closed_loop_report(loop, plant, held, {
+            "nominal": problem.nominal_test, "refitted": null.test, "repaired": best.test})
+        notes += more
     report = build_report(problem, null, singles, pairs, screened, decision, location, notes,
-                          len(located) + len(pairs), clock.perf_counter() - started, fallback)
+                          len(located) + len(pairs), clock.perf_counter() - started, fallback, closed)
     say(1.0, "done")
     return report
 
@@ -181,7 +195,8 @@ def explain_case(case_dir, out=None, jobs: int = 1, progress: Callable | None = 
     report = explain(case.plant, case.train, case.test or None, case.free, tolerances=case.tolerances,
                      noise_floor=case.noise_floor, repeats=case.repeats,
                      hold="first" if case.first_order_hold else
-                     "zero", closed_loop=case.closed_loop, without=without, jobs=jobs, progress=progress,
+                     "zero", closed_loop=case.closed_loop, controller=case.controller,
+                     references=case.references, without=without, jobs=jobs, progress=progress,
                      source=case.simulator_source)
     write_report(report, out, case.simulator_source)
     return report

@@ -151,7 +151,8 @@ def _candidates(problem, hypotheses, passed, output_names):
 
 def build_report(problem: Problem, null, singles, pairs, screened, decision: Decision, location: Location,
                  notes,
-                 tried: int, seconds: float, fallback: Hypothesis | None = None) -> Report:
+                 tried: int, seconds: float, fallback: Hypothesis | None = None,
+                 closed_loop: dict | None = None) -> Report:
     """Gather everything into the content of report.json."""
     names = problem.plant.output_names
     used = fallback if fallback is not None and fallback.share > 0 else None
@@ -188,6 +189,8 @@ def build_report(problem: Problem, null, singles, pairs, screened, decision: Dec
                    for s in screened],
         "hypotheses_tried": tried, "seconds": seconds,
     }
+    if closed_loop is not None:
+        content["closed_loop"] = closed_loop
     return Report(_clean(content), problem, null, decision, tuple(singles), tuple(pairs), location, used)
 
 
