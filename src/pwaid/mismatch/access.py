@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -9,12 +10,23 @@ import numpy as np
 
 from pwaid.errors import InputError
 from pwaid.mismatch.dataset import Dataset
+from pwaid.mismatch.model import Model, Settings
 from pwaid.mismatch.plant import Plant
 from pwaid.recording import Recording
 
-__all__ = ["check_black_box", "check_names", "check_recordings", "failed_trials", "prepare_black_box"]
+__all__ = [
+    "SlowSimulationWarning",
+    "check_black_box",
+    "check_names",
+    "check_recordings",
+    "expected_time",
+    "failed_trials",
+    "prepare_black_box",
+]
 
 PULSED = 4.0  # time constants over which inputs lead to the start of a recording
+SWEEPS = 1500  # simulations of all recordings in a run with the whole catalogue, as counted
+TIMED_SUBSTEPS = 2
 SHORTEST = 20  # samples: fewer hold no block to bootstrap and no difference to estimate the noise from
 SKIPPED = 0.25  # of a recording, at most
 
@@ -82,6 +94,36 @@ def _inside(r: Recording, q: Recording) -> bool:
     a, b = (np.hstack([z.inputs, z.outputs]) for z in (r, q))
     starts = np.flatnonzero(np.all(b[:len(b) - len(a) + 1] == a[0], axis=1)) if len(b) >= len(a) else ()
     return any(np.array_equal(b[k:k + len(a)], a) for k in starts)
+
+
+class SlowSimulationWarning(UserWarning):
+    """The simulator runs in Python; the text says how long that may take."""
+
+
+def expected_time(plant: Plant, data: Dataset) -> str:
+    """How long explaining may take, from a few simulated samples; an empty text when it is compiled or soon done.
+
+    `SWEEPS` simulations of all recordings are expected. A black box is timed over the first recording; the Python
+    loop over the first samples of all, which it simulates side by side.
+    """
+    if plant.rhs is not None:
+        return ""
+    started = time.perf_counter()
+    if plant.black_box is not None:
+        _nominal(plant, data, 0)
+        one = (time.perf_counter() - started) * len(data.names)
+    else:
+        nx = plant.sizes[0]
+        model = Model(Settings(plant, np.full(nx, -1, dtype=np.int64), np.zeros(nx), (), np.zeros(0), TIMED_SUBSTEPS))
+        head = replace(data, segments=np.array([(a, min(b, a + 20), a, b) for a, b in data.recordings]))
+        model.simulate(np.zeros(0), np.zeros((len(head.segments), nx)), head)
+        one = (time.perf_counter() - started) / 20 * float(np.max(np.diff(data.recordings)))
+    minutes = one * SWEEPS / 60
+    if minutes < 1.0:
+        return ""
+    return (f"the simulator runs in Python and takes about {one:.2g} s for the recordings; some {SWEEPS} simulations "
+            f"are needed: expect about {minutes:.0f} minutes. Shorter recordings, fewer effects (without=...), or simple "
+            "arithmetic on x[i], u[j], params['name'], which compiles, would help")
 
 
 def prepare_black_box(plant: Plant, data: Dataset, held: Dataset) -> tuple[Plant, Dataset, Dataset, list[str]]:

@@ -13,7 +13,14 @@ from pathlib import Path
 import numpy as np
 
 from pwaid.errors import InputError
-from pwaid.mismatch.access import check_names, check_recordings, failed_trials, prepare_black_box
+from pwaid.mismatch.access import (
+    SlowSimulationWarning,
+    check_names,
+    check_recordings,
+    expected_time,
+    failed_trials,
+    prepare_black_box,
+)
 from pwaid.mismatch.case import load_case
 from pwaid.mismatch.closed_loop import closed_loop_report, make_loop
 from pwaid.mismatch.correction import correct
@@ -24,7 +31,7 @@ from pwaid.mismatch.hygiene import hygiene, with_feedback
 from pwaid.mismatch.hypotheses import fit_pairs, fit_shortlist, floor_square, null_hypothesis
 from pwaid.mismatch.locate import locate
 from pwaid.mismatch.nullfit import prepare
-from pwaid.mismatch.plant import SlowSimulationWarning, as_plant
+from pwaid.mismatch.plant import as_plant
 from pwaid.mismatch.report import Report, build_report, write_report
 from pwaid.mismatch.screen import locate_effects, screen, shortlist
 from pwaid.recording import Recording
@@ -88,13 +95,7 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
         train, test = _split(train)
     for name in without:
         effect_by_id(name)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", SlowSimulationWarning)
-        plant = as_plant(simulator, train[0].input_names, train[0].output_names, source=source)
-    notes = [str(w.message) for w in caught if issubclass(w.category, SlowSimulationWarning)]
-    for w in caught:
-        if not issubclass(w.category, SlowSimulationWarning):
-            warnings.warn_explicit(w.message, w.category, w.filename, w.lineno)
+    plant, notes = as_plant(simulator, train[0].input_names, train[0].output_names, source=source), []
     check_recordings(plant, train, test)
     check_names(plant, tolerances, noise_floor)
     loop = None
@@ -105,6 +106,10 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
     if plant.black_box is not None:
         plant, data, held, more = prepare_black_box(plant, data, held)
         notes += more
+    wait = expected_time(plant, data)
+    if wait:
+        warnings.warn(wait, SlowSimulationWarning, stacklevel=2)
+        notes.append(wait)
     say(0.02, "refitting the nominal simulator")
     groups = _repeats(repeats, (*train, *test))
     kept = [g for g in groups if len(g) > 1 and _same_input(g)]

@@ -12,7 +12,7 @@ from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.effects.base import Effect, Place, scale_of, unit_of
 from pwaid.mismatch.engine import idle, simulate_segments
 from pwaid.mismatch.plant import Plant
-from pwaid.mismatch.slow_engine import simulate_segments_slowly
+from pwaid.mismatch.slow_engine import Variant, simulate_columns
 
 __all__ = ["Located", "Model", "Settings"]
 
@@ -202,9 +202,25 @@ class Model:
     def run(self, p, Q, delay, start, segments, U, sample_time: float, X, Y) -> None:
         """Simulate every segment from its start (n_segments, nx + extra) into X and Y."""
         plant, s = self.settings.plant, self.settings
-        loop = simulate_segments if plant.rhs is not None else simulate_segments_slowly
-        first = plant.rhs if plant.rhs is not None else plant
-        loop(first, plant.out if plant.rhs is not None else None, *self.kernels, len(self.located), self.nx,
-             start, segments, U, delay, sample_time, 1 if plant.dt else self.substeps,
-             float(s.first_order_hold), int(plant.dt > 0), p, self.II, Q, self.proximal, s.partner, s.ratio,
-             X, Y, LIMIT)
+        if plant.rhs is None:
+            found = simulate_columns(self, [Variant(p, Q, delay, start)], segments, U, sample_time, LIMIT)
+            for a, b in segments[:, :2]:
+                X[a:b], Y[a:b] = found[0][0, a:b], found[1][0, a:b]
+            return
+        simulate_segments(plant.rhs, plant.out, *self.kernels, len(self.located), self.nx, start, segments, U, delay,
+                          sample_time, 1 if plant.dt else self.substeps, float(s.first_order_hold), int(plant.dt > 0),
+                          p, self.II, Q, self.proximal, s.partner, s.ratio, X, Y, LIMIT)
+
+    def simulate_many(self, asked, data: Dataset) -> list[tuple[np.ndarray, np.ndarray]]:
+        """`simulate` for several (theta, X0), in one sweep where the plant runs in Python."""
+        plant = self.settings.plant
+        if plant.rhs is not None or plant.black_box is not None:
+            return [self.simulate(theta, X0, data) for theta, X0 in asked]
+        U0, variants = data.U[data.segments[:, 0]], []
+        for theta, X0 in asked:
+            Q, delay = self.laws(self.parts(theta), data.U.shape[1])
+            variants.append(Variant(self.parameters(theta), Q, delay, self.start(X0, U0)))
+        if not variants:
+            return []
+        X, Y = simulate_columns(self, variants, data.segments, data.U, data.sample_time, LIMIT)
+        return list(zip(Y, X, strict=True))

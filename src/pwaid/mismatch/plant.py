@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import inspect
-import warnings
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field, replace
 
@@ -16,11 +15,7 @@ from pwaid.mismatch.blackbox import BlackBox, looks_like_black_box
 from pwaid.mismatch.compile_rhs import CompileFailure, compiled_pair
 from pwaid.mismatch.engine import RHS_TYPE
 
-__all__ = ["Plant", "SlowSimulationWarning", "as_plant"]
-
-
-class SlowSimulationWarning(UserWarning):
-    """The simulator runs in the plain Python loop; the text says how long that may take."""
+__all__ = ["Plant", "as_plant", "called_with_arrays", "takes_arrays"]
 
 
 @dataclass(frozen=True)
@@ -29,6 +24,7 @@ class Plant:
 
     `rhs` and `out` are their compiled forms, None when they do not compile; `parameters` maps every
     name to its nominal value in a fixed order; `constants` is what else params holds: texts, arrays, switches.
+    `takes_arrays`: with x (nx, M), u (nu, M) and parameters (M,) they give (n, M), verified.
     Where the functions raise, derivatives and outputs are NaN, and `raised` keeps what they said. `dt` is 0 for
     continuous time.
 
@@ -49,6 +45,7 @@ class Plant:
     out: object = None
     source: str = ""
     linear: bool = False
+    takes_arrays: bool = False
     notes: tuple[str, ...] = ()
     black_box: BlackBox | None = None
     force_names: tuple[str, ...] = ()
@@ -97,9 +94,56 @@ class Plant:
             self.raised.add(f"{type(error).__name__}: {error}")
             return np.full(size, np.nan)
 
+    def derivatives(self, t, X, U, P) -> np.ndarray:
+        """dx/dt (M, nx) at M points: t (M,), X (M, nx), U (M, nu), P (M, n_parameters)."""
+        return self._many(self.update, self.derivative, t, X, U, P, X.shape[1])
+
+    def many_outputs(self, t, X, U, P) -> np.ndarray:
+        """y (M, ny) at M points."""
+        return self._many(self.output, self.outputs, t, X, U, P, len(self.output_names)) if self.output else X.copy()
+
+    def _many(self, function, single, t, X, U, P, size: int) -> np.ndarray:
+        if self.takes_arrays:
+            try:
+                return called_with_arrays(function, t, X, U, self.as_dict(P.T), size)
+            except Exception:  # some point is outside the function's domain: find out which
+                pass
+        return np.array([single(x, u, p, s) for s, x, u, p in zip(t, X, U, P, strict=True)]).reshape(len(X), size)
+
     def as_dict(self, p) -> dict[str, float]:
         """What the user's functions get as params."""
         return {**self.constants, **dict(zip(self.parameters, p, strict=False))}
+
+
+def called_with_arrays(function, t, X, U, params, size: int) -> np.ndarray:
+    """(M, size) from one call with arrays in place of scalars; entries that are plain numbers hold for all points."""
+    result = function(t, np.ascontiguousarray(X.T), np.ascontiguousarray(U.T), params)
+    rows = [np.broadcast_to(np.asarray(row, dtype=float), (len(X),)) for row in result]
+    if len(rows) != size:
+        raise ValueError(f"{len(rows)} rows came, expected {size}")
+    return np.array(rows).T
+
+
+def takes_arrays(plant: Plant, scale: float, points: int = 40) -> bool:
+    """Whether update and output, called with arrays, give what single calls give, at random points."""
+    rng = np.random.default_rng(0)
+    nx, nu, ny = plant.sizes
+    t, size = rng.uniform(0, 10, points), scale * np.where(np.arange(points) % 4 == 3, 10.0, 1.0)
+    X, U = size[:, None] * rng.normal(size=(points, nx)), rng.normal(size=(points, nu))
+    P = plant.vector() * rng.uniform(0.9, 1.1, (points, len(plant.vector())))
+    with np.errstate(all="ignore"):
+        for function, single, n in ((plant.update, plant.derivative, nx), (plant.output, plant.outputs, ny)):
+            if function is None:
+                continue
+            want = np.array([single(x, u, p, s) for s, x, u, p in zip(t, X, U, P, strict=True)]).reshape(points, n)
+            good = np.all(np.isfinite(want), axis=1)
+            try:
+                got = called_with_arrays(function, t[good], X[good], U[good], plant.as_dict(P[good].T), n)
+            except Exception:
+                return False
+            if good.sum() < 8 or not np.allclose(got, want[good], rtol=1e-9, atol=1e-12):
+                return False
+    return True
 
 
 @njit(RHS_TYPE.signature, cache=True, nogil=True, error_model="numpy")
@@ -183,7 +227,9 @@ def _checked(plant: Plant) -> Plant:
         with np.errstate(all="ignore"):
             failures.append(_failure(plant, level))
         if not failures[-1]:
-            return _compile(plant, max(1.0, level))
+            plant = _compile(plant, max(1.0, level))
+            plant.raised.clear()  # points of these checks say nothing of the recordings
+            return plant
     raise InputError(failures[0])
 
 
@@ -221,10 +267,11 @@ def _compile(plant: Plant, scale: float) -> Plant:
         rhs, out, raises = compiled_pair(plant.update, plant.output, plant.sizes, plant.parameters, scale,
                                          plant.constants)
     except CompileFailure as failure:
-        warnings.warn(
-            f"the simulator runs in the plain Python loop ({failure}); expect minutes instead of seconds. "
-            "Simple arithmetic on x[i], u[j], params['name'] compiles.", SlowSimulationWarning, stacklevel=4)
-        return replace(plant, notes=(*plant.notes, f"simulated in the plain Python loop: {failure}"))
+        arrays = takes_arrays(plant, scale)
+        how = ("the simulator is not compiled (" + str(failure) + "): it runs in Python, "
+               + ("many simulations in one call" if arrays else "one call per state: arrays in place of scalars would "
+                  "be faster"))
+        return replace(plant, takes_arrays=arrays, notes=(*plant.notes, how))
     notes = ("the simulator can raise an error: a simulation that meets it counts as diverged there",) if raises else ()
     return replace(plant, rhs=rhs, out=out, notes=(*plant.notes, *notes))
 
