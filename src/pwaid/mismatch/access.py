@@ -122,8 +122,8 @@ def expected_time(plant: Plant, data: Dataset) -> str:
     if minutes < 1.0:
         return ""
     return (f"the simulator runs in Python and takes about {one:.2g} s for the recordings; some {SWEEPS} simulations "
-            f"are needed: expect about {minutes:.0f} minutes. Shorter recordings, fewer effects (without=...), or simple "
-            "arithmetic on x[i], u[j], params['name'], which compiles, would help")
+            f"are needed: expect about {minutes:.0f} minutes. Shorter recordings, fewer effects (without=...), or "
+            "simple arithmetic on x[i], u[j], params['name'], which compiles, would help")
 
 
 def prepare_black_box(plant: Plant, data: Dataset, held: Dataset) -> tuple[Plant, Dataset, Dataset, list[str]]:

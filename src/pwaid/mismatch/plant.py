@@ -14,6 +14,7 @@ from pwaid.errors import InputError
 from pwaid.mismatch.blackbox import BlackBox, looks_like_black_box
 from pwaid.mismatch.compile_rhs import CompileFailure, compiled_pair
 from pwaid.mismatch.engine import RHS_TYPE
+from pwaid.mismatch.realise import realise
 
 __all__ = ["Plant", "as_plant", "called_with_arrays", "takes_arrays"]
 
@@ -324,11 +325,18 @@ def as_plant(simulator, input_names=None, output_names=None, parameters: Mapping
     if isinstance(simulator, Plant):
         return simulator
     if isinstance(simulator, control.TransferFunction):
-        simulator = control.ss(simulator)
+        try:
+            simulator = realise(simulator)
+        except (ValueError, NotImplementedError) as error:
+            raise InputError(f"the transfer function has no state space ({error}); expected numerators of no higher "
+                             "degree than their denominators") from error
     if isinstance(simulator, control.StateSpace):
         return _from_state_space(simulator, source)
     if isinstance(simulator, control.NonlinearIOSystem):
         return _from_nonlinear(simulator, source)
+    if isinstance(simulator, control.InputOutputSystem):
+        raise InputError(f"the simulator is a {type(simulator).__name__}; expected control.nlsys, control.ss or a "
+                         "transfer function: fit a model to frequency data first")
     if callable(simulator) and looks_like_black_box(simulator):
         return _from_black_box(simulator, tuple(input_names or ()), tuple(output_names or ()), parameters, source)
     if callable(simulator) and len(inspect.signature(simulator).parameters) >= 4:

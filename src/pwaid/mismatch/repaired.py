@@ -15,6 +15,7 @@ import numpy as np
 from pwaid.mismatch.effects import base as effect_base
 from pwaid.mismatch.hypotheses import Hypothesis
 from pwaid.mismatch.model import Model
+from pwaid.mismatch.realise import realise
 
 __all__ = ["header", "kernel_source", "law_rows", "repaired_source", "repaired_system", "without_future"]
 
@@ -110,7 +111,7 @@ def repaired_source(hypothesis: Hypothesis, sample_time: float, simulator_source
               *law_rows(hypothesis),
               "]", _LOOP]
     if simulator_source is not None:
-        lines += [_BUILD]
+        lines += ["", inspect.getsource(realise).rstrip(), _BUILD]
     return "\n".join(lines) + "\n"
 
 
@@ -256,7 +257,7 @@ def build():
     """The repaired simulator as a discrete-time control.nlsys."""
     system = nominal_build()
     if isinstance(system, control.TransferFunction):
-        system = control.ss(system)
+        system = realise(system)
     if isinstance(system, control.StateSpace):
         A, B, C, D = (np.array(M) for M in (system.A, system.B, system.C, system.D))
 
