@@ -25,7 +25,7 @@ __all__ = [
 ]
 
 PULSED = 4.0  # time constants over which inputs lead to the start of a recording
-SWEEPS = 1500  # simulations of all recordings in a run with the whole catalogue, as counted
+SWEEPS = 1500  # simulations of all recordings assumed for a run with the whole catalogue: an estimate, not counted
 TIMED_SUBSTEPS = 2
 SHORTEST = 20  # samples: fewer hold no block to bootstrap and no difference to estimate the noise from
 SKIPPED = 0.25  # of a recording, at most
@@ -116,6 +116,8 @@ def expected_time(plant: Plant, data: Dataset) -> str:
         nx = plant.sizes[0]
         model = Model(Settings(plant, np.full(nx, -1, dtype=np.int64), np.zeros(nx), (), np.zeros(0), TIMED_SUBSTEPS))
         head = replace(data, segments=np.array([(a, min(b, a + 20), a, b) for a, b in data.recordings]))
+        model.simulate(np.zeros(0), np.zeros((len(head.segments), nx)), head)  # compiles what runs the columns
+        started = time.perf_counter()
         model.simulate(np.zeros(0), np.zeros((len(head.segments), nx)), head)
         one = (time.perf_counter() - started) / 20 * float(np.max(np.diff(data.recordings)))
     minutes = one * SWEEPS / 60
