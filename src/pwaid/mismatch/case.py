@@ -22,7 +22,7 @@ __all__ = ["Case", "load_case", "write_case"]
 
 _KEYS = {"simulator", "time", "train", "test", "free_parameters", "inputs", "outputs", "noise_floor",
          "repeats", "hold",
-         "controller", "tolerances", "closed_loop", "name", "title", "description"}
+         "controller", "references", "tolerances", "closed_loop", "name", "title", "description"}
 _serial = itertools.count()
 
 
@@ -42,6 +42,8 @@ class Case:
     closed_loop: bool = False
     tolerances: Mapping[str, float] = field(default_factory=dict)
     simulator_source: str = ""
+    controller: object = None
+    references: Mapping[str, np.ndarray] = field(default_factory=dict)
 
 
 def load_case(folder) -> Case:
@@ -66,28 +68,45 @@ def load_case(folder) -> Case:
     unknown = sorted(set(table) - _KEYS)
     if unknown:
         raise InputError(f"{path} has the unknown key {unknown[0]!r}; expected one of {', '.join(sorted(_KEYS))}")
+    _check_kinds(path, table)
     train, test = list(table["train"]), list(table.get("test", []))
     both = sorted(set(train) & set(test))
     if both:
         raise InputError(f"{both[0]} is listed as training and as test recording; list it once")
+    twice = sorted({n for names in (train, test) for n in names if names.count(n) > 1})
+    if twice:
+        raise InputError(f"{twice[0]} is listed twice; list it once")
     if not train:
         raise InputError(f"{path} lists no training recording; expected at least one CSV file")
     inputs, outputs = dict(table["inputs"]), dict(table["outputs"])
     if not outputs:
         raise InputError(f"{path} lists no outputs; expected at least one column under [outputs]")
-    for name, unit in (inputs | outputs).items():
+    for name, unit in (inputs | outputs | dict(table.get("references", {}))).items():
         try:
             check_unit(str(unit))
         except InputError as error:
             raise InputError(f"column {name!r}: {error}") from error
+    references = dict(table.get("references", {}))
+    units = {**inputs, **outputs, **references}
+    for name in (*train, *test):
+        if not (folder / name).is_file():
+            raise InputError(f"{folder / name} does not exist; expected a recording listed in case.toml")
     plant, source = _load_simulator(folder / table["simulator"], inputs, outputs)
-    units = {**inputs, **outputs}
 
-    def read(name):
-        file = folder / name
-        if not file.is_file():
-            raise InputError(f"{file} does not exist; expected a recording listed in case.toml")
-        return Recording.from_csv(file, list(inputs), list(outputs), time=table.get("time", "t"), units=units)
+    controller = None
+    if "controller" in table:
+        wanted = "a control system from (references, measured outputs) to the plant inputs"
+        controller, _ = _build(folder / table["controller"], "controller", wanted)
+    elif references:
+        raise InputError(f"{path} has [references] and no controller; name controller = \"controller.py\", or leave "
+                         "them out")
+
+    def read(name, columns=inputs):
+        try:
+            return Recording.from_csv(folder / name, list(columns), list(outputs), time=table.get("time", "t"),
+                                      units=units)
+        except InputError as error:
+            raise InputError(str(error) if name in str(error) else f"{name}: {error}") from error
 
     hold = table.get("hold", "zero")
     if hold not in ("zero", "first"):
@@ -101,29 +120,58 @@ def load_case(folder) -> Case:
                 None if free is None else tuple(free), tuple(inputs.values()), tuple(outputs.values()), floor,
                 tuple(tuple(g) for g in table.get("repeats", [])), hold == "first",
                 bool(table.get("controller") or table.get("closed_loop")), dict(table.get("tolerances", {})),
-                source)
+                source, controller, {n: read(n, references).inputs for n in (*train, *test)} if references else {})
 
 
-def _load_simulator(path: Path, inputs, outputs) -> tuple[Plant, str]:
+_KINDS = {
+    "train": (list, "a list of file names"), "test": (list, "a list of file names"),
+    "free_parameters": (list, "a list of names"), "repeats": (list, "a list of lists of file names"),
+    "inputs": (dict, "a table: column = unit"), "outputs": (dict, "a table: column = unit"),
+    "noise_floor": (dict, "a table: output = level"), "tolerances": (dict, "a table: parameter = share"),
+    "simulator": (str, "a file name"), "controller": (str, "a file name"), "time": (str, "a column name"),
+    "closed_loop": (bool, "true or false"), "references": (dict, "a table: column = unit"),
+}
+
+
+def _check_kinds(path: Path, table: Mapping) -> None:
+    for key, (kind, wanted) in _KINDS.items():
+        if key in table and not isinstance(table[key], kind):
+            raise InputError(f"{key} in {path} is {table[key]!r}; expected {wanted}")
+    for key in ("train", "test", "free_parameters"):
+        odd = [v for v in table.get(key, []) if not isinstance(v, str)]
+        if odd:
+            raise InputError(f"{key} in {path} holds {odd[0]!r}; expected {_KINDS[key][1]}")
+    for key in ("noise_floor", "tolerances"):
+        for name, value in table.get(key, {}).items():
+            if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
+                raise InputError(f"{key} of {name!r} in {path} is {value!r}; expected a positive number")
+
+
+def _build(path: Path, what: str, wanted: str):
+    """What build() in a user's file returns, and the file's text."""
     if not path.is_file():
-        raise InputError(f"{path} does not exist; expected the simulator named in case.toml")
-    name = f"pwaid_case_simulator_{next(_serial)}"
+        raise InputError(f"{path} does not exist; expected the {what} named in case.toml")
+    name = f"pwaid_case_{what}_{next(_serial)}"
     spec = importlib.util.spec_from_file_location(name, path)
     module = importlib.util.module_from_spec(spec)
     linecache.checkcache(str(path))
     sys.modules[name] = module
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         raise InputError(f"{path} raised {type(error).__name__}: {error}; it must import cleanly") from error
     if not hasattr(module, "build"):
-        raise InputError(f"{path} has no build(); expected build() -> control.NonlinearIOSystem or StateSpace")
+        raise InputError(f"{path} has no build(); expected build() -> {wanted}")
     try:
         system = module.build()
-    except Exception as error:
-        raise InputError(f"build() in {path} raised {type(error).__name__}: {error}; it must return a control system"
+    except (Exception, SystemExit) as error:
+        raise InputError(f"build() in {path} raised {type(error).__name__}: {error}; it must return {wanted}"
                          ) from error
-    source = path.read_text(encoding="utf-8")
+    return system, path.read_text(encoding="utf-8")
+
+
+def _load_simulator(path: Path, inputs, outputs) -> tuple[Plant, str]:
+    system, source = _build(path, "simulator", "a control system or a callable simulate(u)")
     plant = as_plant(system, tuple(inputs), tuple(outputs), source=source)
     _, nu, ny = plant.sizes
     if nu != len(inputs):

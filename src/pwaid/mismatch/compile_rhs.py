@@ -19,9 +19,13 @@ from collections.abc import Callable, Mapping
 import numpy as np
 from numba import njit
 
-from pwaid.mismatch.engine import OUT_TYPE, RHS_TYPE
+from pwaid.mismatch.engine import RHS_TYPE
 
 __all__ = ["CompileFailure", "compile_function", "compiled_pair"]
+
+
+CONSTANT = "_constant_"
+RAISES = "raises"  # whether any function compiled so far can raise an error
 
 
 class CompileFailure(Exception):
@@ -29,15 +33,22 @@ class CompileFailure(Exception):
 
 
 class _Positions(ast.NodeTransformer):
-    """Replace look-ups by name with positions, and unpacking of arrays with indexing."""
+    """Replace look-ups by name with positions or constants, and unpacking of arrays with indexing."""
 
-    def __init__(self, names: Mapping[str, int], arrays: set[str], params: set[str]):
-        self.names, self.arrays, self.params = names, arrays, params
+    def __init__(self, names: Mapping[str, int], arrays: set[str], constants: Mapping[str, object]):
+        self.names, self.arrays, self.constants = names, arrays, constants
+
+    def _constant(self, name: str):
+        value = self.constants[name]
+        plain = isinstance(value, str | bool | int | float | None)
+        return ast.Constant(value) if plain else ast.Name(f"{CONSTANT}{name}", ast.Load())
 
     def visit_Subscript(self, node):
         self.generic_visit(node)
         key = node.slice
         if isinstance(key, ast.Constant) and isinstance(key.value, str):
+            if key.value in self.constants:
+                return self._constant(key.value)
             if key.value not in self.names:
                 raise CompileFailure(f"the parameter {key.value!r} has no default in params")
             node.slice = ast.Constant(self.names[key.value])
@@ -49,6 +60,8 @@ class _Positions(ast.NodeTransformer):
         if isinstance(f, ast.Attribute) and f.attr == "get" and isinstance(f.value, ast.Name) and node.args:
             key = node.args[0]
             if isinstance(key, ast.Constant) and isinstance(key.value, str):
+                if key.value in self.constants:
+                    return self._constant(key.value)
                 if key.value in self.names:
                     return ast.Subscript(f.value, ast.Constant(self.names[key.value]), ast.Load())
                 return node.args[1] if len(node.args) > 1 else ast.Constant(None)
@@ -75,9 +88,9 @@ class _Positions(ast.NodeTransformer):
         return node
 
 
-def _namespace(function: Callable, names: Mapping[str, int], seen: dict) -> dict:
+def _namespace(function: Callable, names: Mapping[str, int], seen: dict, constants: Mapping[str, object]) -> dict:
     """Globals and closure of `function`, with the plain Python helpers it calls compiled too."""
-    space = {"np": np, "math": math}
+    space = {"np": np, "math": math} | {f"{CONSTANT}{n}": v for n, v in constants.items()}
     code = function.__code__
     used = set(code.co_names) | set(code.co_freevars)
     stack = [c for c in code.co_consts if isinstance(c, pytypes.CodeType)]
@@ -91,19 +104,25 @@ def _namespace(function: Callable, names: Mapping[str, int], seen: dict) -> dict
     for name in used:
         if name in pool:
             item = pool[name]
-            space[name] = compile_function(item, names, seen) if inspect.isfunction(item) else item
+            space[name] = compile_function(item, names, seen, constants) if inspect.isfunction(item) else item
     return space
 
 
-def compile_function(function: Callable, names: Mapping[str, int], seen: dict | None = None):
+def compile_function(function: Callable, names: Mapping[str, int], seen: dict | None = None,
+                     constants: Mapping[str, object] | None = None):
     """Compile one Python function of (t, x, u, params) or a helper it calls.
+
+    Parameters
+    ----------
+    names : position of every number in params. constants : texts, arrays and the like in params.
+    seen : functions compiled so far, and under RAISES whether any of them can raise.
 
     Raises
     ------
     CompileFailure
         When the source cannot be read or uses something that has no compiled counterpart.
     """
-    seen = {} if seen is None else seen
+    seen, constants = {} if seen is None else seen, constants or {}
     if function in seen:
         return seen[function]
     try:
@@ -114,11 +133,12 @@ def compile_function(function: Callable, names: Mapping[str, int], seen: dict | 
     if not isinstance(node, ast.FunctionDef):
         raise CompileFailure("the right-hand side is not a plain def")
     arguments = [a.arg for a in node.args.args]
+    seen[RAISES] = seen.get(RAISES, False) or any(isinstance(n, ast.Raise | ast.Assert) for n in ast.walk(node))
     node.decorator_list, node.returns = [], None
     for a in node.args.args:
         a.annotation = None
-    tree = ast.fix_missing_locations(_Positions(names, set(arguments), set(arguments[3:])).visit(tree))
-    space = _namespace(function, names, seen)
+    tree = ast.fix_missing_locations(_Positions(names, set(arguments), constants).visit(tree))
+    space = _namespace(function, names, seen, constants)
     text = ast.unparse(tree)
     filename = f"<pwaid compiled {function.__name__} {id(function):x}>"
     linecache.cache[filename] = (len(text), None, text.splitlines(True), filename)
@@ -127,22 +147,32 @@ def compile_function(function: Callable, names: Mapping[str, int], seen: dict | 
     return seen[function]
 
 
-def _wrap(inner, size: int, signature):
-    """The engine's calling convention around a function that returns its result."""
+def _wrap(inner, size: int, signature, raises: bool = False):
+    """The engine's calling convention around a function that returns its result; NaN where it raises."""
 
     def call(t, x, u, p, dx):
         r = inner(t, x, u, p)
         for i in range(size):
             dx[i] = r[i]
 
+    def guarded(t, x, u, p, dx):
+        dx[:] = np.nan
+        try:
+            r = inner(t, x, u, p)
+            for i in range(size):
+                dx[i] = r[i]
+        except Exception:
+            dx[:] = np.nan
+
     try:
-        return njit(signature.signature, error_model="numpy", nogil=True)(call)
+        return njit(signature.signature, error_model="numpy", nogil=True)(guarded if raises else call)
     except Exception as error:  # numba raises many kinds; each means: no compiled counterpart
         raise CompileFailure(str(error).strip().splitlines()[0]) from error
 
 
 def compiled_pair(update: Callable, output: Callable | None, sizes: tuple[int, int, int],
-                  parameters: Mapping[str, float], scales: np.ndarray | None = None):
+                  parameters: Mapping[str, float], scale: float = 1.0,
+                  constants: Mapping[str, object] | None = None):
     """Compile update and output and verify both against the originals.
 
     Parameters
@@ -150,41 +180,49 @@ def compiled_pair(update: Callable, output: Callable | None, sizes: tuple[int, i
     update, output : callables ``f(t, x, u, params)``; output None means y = x.
     sizes : numbers of states, inputs, outputs.
     parameters : default values, in the order of the positions.
-    scales : (states,) typical magnitudes for the random test points; ones when None.
+    scale : typical magnitude of the states, for the random test points.
+    constants : what else params holds: texts, arrays, switches.
 
     Returns
     -------
-    rhs, out : compiled functions in the engine's convention.
+    rhs, out : compiled functions in the engine's convention; NaN where the originals raise.
+    raises : whether they can raise.
     """
     nx, nu, ny = sizes
     names = {name: i for i, name in enumerate(parameters)}
-    if output is None:
-        output = _whole_state
-    rhs = _wrap(compile_function(update, names), nx, RHS_TYPE)
-    out = _wrap(compile_function(output, names), ny, OUT_TYPE)
-    _verify(update, rhs, nx, nx, nu, parameters, scales)
-    _verify(output, out, ny, nx, nu, parameters, scales)
-    return rhs, out
+    found, raises = [], False
+    for original, size in ((update, nx), (_whole_state if output is None else output, ny)):
+        seen: dict = {}
+        inner = compile_function(original, names, seen, constants)
+        compiled = _wrap(inner, size, RHS_TYPE, seen[RAISES])
+        _verify(original, compiled, size, nx, nu, parameters, scale, constants or {})
+        found.append(compiled)
+        raises |= seen[RAISES]
+    return found[0], found[1], raises
 
 
 def _whole_state(t, x, u, params):
     return x
 
 
-def _verify(original, compiled, size, nx, nu, parameters, scales):
+def _verify(original, compiled, size, nx, nu, parameters, scale, constants, points: int = 24):
     rng = np.random.default_rng(0)
-    values = np.array(list(parameters.values()), dtype=float)
-    scales = np.ones(nx) if scales is None else scales
-    for _ in range(24):
-        t, x, u = rng.uniform(0, 10), scales * rng.normal(size=nx), rng.normal(size=nu)
+    values, compared = np.array(list(parameters.values()), dtype=float), 0
+    for _ in range(4 * points):
+        t, x, u = rng.uniform(0, 10), scale * rng.normal(size=nx), rng.normal(size=nu)
         p = values * rng.uniform(0.9, 1.1, values.size)
         with np.errstate(all="ignore"):
             try:
-                want = np.asarray(original(t, x, u, dict(zip(parameters, p, strict=True))),
+                want = np.asarray(original(t, x, u, {**constants, **dict(zip(parameters, p, strict=True))}),
                                   dtype=float).ravel()
-            except (ValueError, ZeroDivisionError, OverflowError):
+            except Exception:
                 continue  # outside the function's domain: nothing to compare there
         got = np.empty(size)
         compiled(t, x.copy(), u.copy(), p.copy() if p.size else np.zeros(1), got)
         if want.shape != got.shape or not np.allclose(want, got, rtol=1e-9, atol=1e-12, equal_nan=True):
             raise CompileFailure("the compiled function does not reproduce the original")
+        compared += 1
+        if compared == points:
+            return
+    if compared < points // 4:
+        raise CompileFailure("the original raises at most random points, so the compiled function cannot be verified")

@@ -19,7 +19,8 @@ class Dataset:
     """Inputs U (N, nu) and outputs Y (N, ny) of several recordings.
 
     `segments` (n_segments, 4) holds first and last+1 sample of each segment, then of its recording;
-    the latter give delayed inputs their history.
+    the latter give delayed inputs their history. `before` holds inputs (n, nu) that precede each recording,
+    for simulators that can only start at rest; empty where there are none.
     """
 
     names: tuple[str, ...]
@@ -27,6 +28,7 @@ class Dataset:
     Y: np.ndarray
     segments: np.ndarray
     sample_time: float
+    before: tuple[np.ndarray, ...] = ()
 
     @classmethod
     def from_recordings(cls, recordings: Sequence[Recording]) -> Dataset:
@@ -79,4 +81,14 @@ class Dataset:
                 rows.append((s[0] - a + new, s[1] - a + new, new, new + b - a))
             new += b - a
         return Dataset(tuple(self.names[i] for i in which), np.ascontiguousarray(self.U[keep]),
-                       np.ascontiguousarray(self.Y[keep]), np.array(rows, dtype=np.int64), self.sample_time)
+                       np.ascontiguousarray(self.Y[keep]), np.array(rows, dtype=np.int64), self.sample_time,
+                       tuple(self.before[i] for i in which) if self.before else ())
+
+    def without_start(self, samples: int) -> Dataset:
+        """The first samples of every recording left out of the comparison; their inputs are kept as `before`."""
+        rec = self.recordings
+        keep = np.concatenate([np.arange(a + samples, b) for a, b in rec])
+        bounds = np.cumsum([0] + [b - a - samples for a, b in rec])
+        rows = np.array([(a, b, a, b) for a, b in itertools.pairwise(bounds)], dtype=np.int64)
+        return replace(self, U=np.ascontiguousarray(self.U[keep]), Y=np.ascontiguousarray(self.Y[keep]), segments=rows,
+                       before=tuple(self.U[a:a + samples] for a, _ in rec))

@@ -35,7 +35,7 @@ KEPT = 0.2  # of an output's standard deviation
 class Evidence:
     """The refitted null, the screen, and the fitted single effects and pairs of one problem, best first.
 
-    `tried` counts hypotheses, `notes` holds what hygiene found.
+    `tried` counts hypotheses, `notes` holds what hygiene found, `loop` the controller's loop where it is known.
     """
 
     problem: Problem
@@ -45,6 +45,7 @@ class Evidence:
     pairs: tuple[Hypothesis, ...]
     tried: int
     notes: tuple[str, ...] = ()
+    loop: object = None
 
 
 def gather(problem: Problem, catalogue: Sequence[Effect], notes: Sequence[str] = (), jobs: int = 1,

@@ -8,21 +8,31 @@ from __future__ import annotations
 import time as clock
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 from pwaid.errors import InputError
+from pwaid.mismatch.access import (
+    SlowSimulationWarning,
+    check_names,
+    check_recordings,
+    expected_time,
+    failed_trials,
+    prepare_black_box,
+)
 from pwaid.mismatch.case import Case, load_case
+from pwaid.mismatch.closed_loop import closed_loop_report, make_loop
 from pwaid.mismatch.correction import correct
 from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.decide import Thresholds, decide
 from pwaid.mismatch.effects.registry import CATALOGUE, effect_by_id
 from pwaid.mismatch.evidence import Evidence, gather
-from pwaid.mismatch.hygiene import hygiene
+from pwaid.mismatch.hygiene import hygiene, with_feedback
 from pwaid.mismatch.locate import locate
 from pwaid.mismatch.nullfit import prepare
-from pwaid.mismatch.plant import SlowSimulationWarning, as_plant
+from pwaid.mismatch.plant import as_plant
 from pwaid.mismatch.report import Report, build_report, write_report
 from pwaid.recording import Recording
 
@@ -41,7 +51,8 @@ def _split(train: Sequence[Recording]) -> tuple[list[Recording], list[Recording]
 def explain(simulator, train, test=None, free_parameters: Sequence[str] | None = None, *,
             units: Mapping | None = None,
             tolerances: Mapping[str, float] | None = None, noise_floor: Mapping[str, float] | None = None,
-            repeats=(), hold: str = "zero", closed_loop: bool = False, effects=None,
+            repeats=(), hold: str = "zero", closed_loop: bool = False, controller=None,
+            references: Mapping[str, np.ndarray] | None = None, effects=None,
             without: Sequence[str] = (),
             jobs: int = 1, progress: Callable | None = None, thresholds: Thresholds | None = None,
             source: str = "") -> Report:
@@ -50,13 +61,16 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
     Parameters
     ----------
     simulator : control.NonlinearIOSystem, control.StateSpace or transfer function, continuous or
-        discrete, or a right-hand side ``f(t, x, u, params)`` whose states are its outputs.
+        discrete, a right-hand side ``f(t, x, u, params)`` whose states are its outputs, or a callable
+        ``simulate(u) -> y`` (`pwaid.mismatch.blackbox.BlackBox` lists its options).
     train, test : Recording or sequence of Recording; without test, the last recording (or the last
         third of a single one) is held out.
     free_parameters : names of nominal parameters that may be wrong; all of them when None.
     units : unit per channel name, where the recordings carry none.
     tolerances : relative tolerance per free parameter; 0.3 by default.
     noise_floor : level per output, in its unit. repeats : groups of recording names under one input.
+    closed_loop : whether the recordings come from a closed loop. controller : the control system that closed it,
+        from (references, measured outputs) to the plant inputs; `references` its signals (N, n) by recording name.
     effects : the catalogue to try; the built-in one plus registered effects by default.
     without : effect ids left out of the catalogue.
     jobs : threads. progress : callable ``progress(fraction, text)``.
@@ -73,14 +87,15 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
     """
     started = clock.perf_counter()
     evidence = collect(simulator, train, test, free_parameters, units=units, tolerances=tolerances,
-                       noise_floor=noise_floor, repeats=repeats, hold=hold, closed_loop=closed_loop, effects=effects,
-                       without=without, jobs=jobs, progress=progress, source=source)
+                       noise_floor=noise_floor, repeats=repeats, hold=hold, closed_loop=closed_loop,
+                       controller=controller, references=references, effects=effects, without=without, jobs=jobs,
+                       progress=progress, source=source)
     return conclude(evidence, thresholds, started, progress, jobs)
 
 
 def collect(simulator, train, test=None, free_parameters=None, *, units=None, tolerances=None, noise_floor=None,
-            repeats=(), hold="zero", closed_loop=False, effects=None, without=(), jobs=1, progress=None,
-            source="") -> Evidence:
+            repeats=(), hold="zero", closed_loop=False, controller=None, references=None, effects=None, without=(),
+            jobs=1, progress=None, source="") -> Evidence:
     """Check what came, refit the nominal simulator, fit every hypothesis worth it; parameters as for `explain`."""
     say = progress or (lambda fraction, text: None)
     train = [train] if isinstance(train, Recording) else list(train)
@@ -91,29 +106,30 @@ def collect(simulator, train, test=None, free_parameters=None, *, units=None, to
         train, test = _split(train)
     for name in without:
         effect_by_id(name)
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", SlowSimulationWarning)
-        plant = as_plant(simulator, train[0].input_names, train[0].output_names, source=source)
-    notes = [str(w.message) for w in caught if issubclass(w.category, SlowSimulationWarning)]
-    for w in caught:
-        if not issubclass(w.category, SlowSimulationWarning):
-            warnings.warn_explicit(w.message, w.category, w.filename, w.lineno)
-    _check_sizes(plant, train + test)
+    plant, notes = as_plant(simulator, train[0].input_names, train[0].output_names, source=source), []
+    check_recordings(plant, train, test)
+    check_names(plant, tolerances, noise_floor)
+    loop = None
+    if controller is not None:
+        loop = make_loop(controller, plant, references or {}, train[0].sample_time, [r.name for r in test])
     units = {**train[0].units, **(units or {})}
     data, held = Dataset.from_recordings(train), Dataset.from_recordings(test)
-    if abs(held.sample_time / data.sample_time - 1) > 1e-3:
-        raise InputError(f"the test recordings are sampled every {held.sample_time:g} s, the training ones every "
-                         f"{data.sample_time:g} s; resample them to one clock")
-    for r in test:
-        if any(len(r.time) == len(q.time) and np.array_equal(r.outputs, q.outputs) for q in train):
-            raise InputError(f"test recording {r.name} is also a training recording; hold one out")
+    if plant.black_box is not None:
+        plant, data, held, more = prepare_black_box(plant, data, held)
+        notes += more
+    wait = expected_time(plant, data)
+    if wait:
+        warnings.warn(wait, SlowSimulationWarning, stacklevel=2)
+        notes.append(wait)
     say(0.02, "refitting the nominal simulator")
-    groups, dropped = _repeats(repeats, {r.name: r for r in (*train, *test)})
+    groups, dropped = _repeats(repeats, (*train, *test))
     problem = prepare(plant, data, held, [units.get(n, "") for n in train[0].input_names],
                       [units.get(n, "") for n in train[0].output_names], free_parameters, tolerances,
                       noise_floor, groups, hold == "first")
+    notes += [*dropped, *hygiene(problem, closed_loop, loop is not None)]
+    problem = with_feedback(problem, closed_loop or loop is not None)
     catalogue = [e for e in (CATALOGUE if effects is None else effects) if e.id not in without]
-    return gather(problem, catalogue, [*notes, *dropped, *hygiene(problem, closed_loop)], jobs, say)
+    return replace(gather(problem, catalogue, notes, jobs, say), loop=loop)
 
 
 def conclude(evidence: Evidence, thresholds: Thresholds | None = None, started: float | None = None,
@@ -127,19 +143,29 @@ def conclude(evidence: Evidence, thresholds: Thresholds | None = None, started: 
     named = decision.members[0].located[0].place.channel if decision.members else ""
     location = locate(problem, named, look=decision.verdict not in ("agreement", "parameters_only"))
     fallback = correct(problem, location) if decision.verdict == "unexplained" else None
+    notes, closed = [*evidence.notes, *failed_trials(problem.plant)], None
+    if evidence.loop is not None:
+        best = (fallback if fallback is not None and fallback.share > 0 else None) or decision.chosen or evidence.null
+        closed, more = closed_loop_report(evidence.loop, problem.plant, problem.test, {
+            "nominal": problem.nominal_test, "refitted": evidence.null.test, "repaired": best.test})
+        notes += more
     seconds = 0.0 if started is None else clock.perf_counter() - started
     report = build_report(problem, evidence.null, evidence.singles, evidence.pairs, evidence.screened, decision,
-                          location, evidence.notes, evidence.tried, seconds, fallback, jobs, thresholds)
+                          location, notes, evidence.tried, seconds, fallback, jobs, thresholds, closed)
     say(1.0, "done")
     return report
 
 
-def _repeats(repeats, named) -> tuple[list, list[str]]:
+def _repeats(groups, recordings) -> tuple[list, list[str]]:
     """Output arrays of every group of true repeats, and a note where a group was none."""
-    groups = [[named[n] for n in group if n in named] for group in repeats]
-    kept = [g for g in groups if len(g) > 1 and _same_input(g)]
+    named = {r.name: r for r in recordings}
+    for name in (n for group in groups for n in group):
+        if name not in named:
+            raise InputError(f"repeats names {name!r}, which is no recording; expected names among {', '.join(named)}")
+    found = [[named[n] for n in group] for group in groups]
+    kept = [g for g in found if len(g) > 1 and _same_input(g)]
     dropped = ["repeated recordings with different inputs (a closed loop?) say nothing about the floor: not used"]
-    return [[r.outputs for r in g] for g in kept], dropped if len(kept) < len(groups) else []
+    return [[r.outputs for r in g] for g in kept], dropped if len(kept) < len(found) else []
 
 
 def _same_input(group) -> bool:
@@ -148,17 +174,6 @@ def _same_input(group) -> bool:
     first = group[0].inputs[:n]
     spread = np.std(first, axis=0) + 1e-12
     return all(np.all(np.sqrt(np.mean((r.inputs[:n] - first) ** 2, axis=0)) < 0.01 * spread) for r in group[1:])
-
-
-def _check_sizes(plant, recordings):
-    _, nu, ny = plant.sizes
-    for r in recordings:
-        if r.inputs.shape[1] != nu:
-            raise InputError(f"{r.name} has {r.inputs.shape[1]} inputs, the simulator {nu}; "
-                             "give the simulator's inputs")
-        if r.outputs.shape[1] != ny:
-            raise InputError(f"{r.name} has {r.outputs.shape[1]} outputs, the simulator {ny}; "
-                             "give the simulator's outputs")
 
 
 def explain_case(case_dir, out=None, jobs: int = 1, progress: Callable | None = None,
@@ -176,10 +191,12 @@ def explain_case(case_dir, out=None, jobs: int = 1, progress: Callable | None = 
         For an unusable case; nothing is written then.
     """
     started = clock.perf_counter()
+    out = Path(out) if out is not None else Path(case_dir) / "explained"
+    if out.exists() and not out.is_dir():
+        raise InputError(f"{out} is a file; expected a folder for the results")
     case = load_case(case_dir)
     report = conclude(collect_case(case, jobs, progress, without), None, started, progress, jobs)
-    write_report(report, Path(out) if out is not None else Path(case_dir) / "explained",
-                 case.simulator_source)
+    write_report(report, out, case.simulator_source)
     return report
 
 
@@ -187,5 +204,6 @@ def collect_case(case: Case, jobs: int = 1, progress: Callable | None = None, wi
     """The evidence of a loaded case folder."""
     return collect(case.plant, case.train, case.test or None, case.free, tolerances=case.tolerances,
                    noise_floor=case.noise_floor, repeats=case.repeats,
-                   hold="first" if case.first_order_hold else "zero", closed_loop=case.closed_loop, without=without,
-                   jobs=jobs, progress=progress, source=case.simulator_source)
+                   hold="first" if case.first_order_hold else "zero", closed_loop=case.closed_loop,
+                   controller=case.controller, references=case.references, without=without, jobs=jobs,
+                   progress=progress, source=case.simulator_source)

@@ -66,21 +66,25 @@ def _steps(model: Model, theta):
 def jacobian(model: Model, theta, X0, data: Dataset, sigma, Y, ranges, want_states: bool = True,
              bounds=None) -> Jacobian:
     """Forward differences around (theta, X0); `ranges` (nx,) are the states' magnitudes."""
-    n = data.Y.size
-    G = np.empty((n, model.size))
-    for k, step in enumerate(_steps(model, theta)):
+    n, nx = data.Y.size, X0.shape[1]
+    G, S, asked = np.empty((n, model.size)), np.zeros((n, nx)), []
+    steps = _steps(model, theta)
+    for k, step in enumerate(steps):
         moved = theta.copy()
         if bounds is not None and theta[k] + step > bounds[1][k]:
-            step = -step
-        moved[k] += step
-        G[:, k] = np.clip((model.simulate(moved, X0, data)[0] - Y) / sigma / step, -1e9, 1e9).ravel()
-    S = np.zeros((n, X0.shape[1]))
-    if want_states:
-        for i in range(X0.shape[1]):
-            step = (1e-3 if any(e.effect.proximal for e in model.located) else 1e-4) * max(ranges[i], 1e-9)
-            moved = X0.copy()
-            moved[:, i] += step
-            S[:, i] = np.clip((model.simulate(theta, moved, data)[0] - Y) / sigma, -1e9, 1e9).ravel() / step
+            steps[k] = -step
+        moved[k] += steps[k]
+        asked.append((moved, X0))
+    own = (1e-3 if any(e.effect.proximal for e in model.located) else 1e-4) * np.maximum(ranges, 1e-9)
+    for i in range(nx if want_states else 0):
+        moved = X0.copy()
+        moved[:, i] += own[i]
+        asked.append((theta, moved))
+    found = [(simulated - Y) / sigma for simulated, _ in model.simulate_many(asked, data)]
+    for k in range(model.size):
+        G[:, k] = np.clip(found[k] / steps[k], -1e9, 1e9).ravel()
+    for i, change in enumerate(found[model.size:]):
+        S[:, i] = np.clip(change, -1e9, 1e9).ravel() / own[i]
     return Jacobian(G, S)
 
 
@@ -183,6 +187,9 @@ class _Frozen:
 
     def simulate(self, _, X0, data):
         return self._model.simulate(self._theta, X0, data)
+
+    def simulate_many(self, asked, data):
+        return self._model.simulate_many([(self._theta, X0) for _, X0 in asked], data)
 
 
 def fit_starts(model: Model, data: Dataset, sigma, theta, X0, ranges, iterations: int = 8) -> Fit:

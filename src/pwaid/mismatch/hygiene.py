@@ -2,17 +2,27 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
+from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.timing import timing_notes
 from pwaid.mismatch.units import combine
 
-__all__ = ["hygiene"]
+__all__ = ["hygiene", "leads_input", "with_feedback"]
+
+LEADS = 0.3  # correlation of the residual with later inputs that betrays a controller
 
 
-def hygiene(problem: Problem, closed_loop: bool = False) -> list[str]:
-    """Warnings about the recordings and the simulator, in the order an engineer would check them."""
+def hygiene(problem: Problem, closed_loop: bool = False, known: bool = False) -> list[str]:
+    """Warnings about the recordings and the simulator, in the order an engineer would check them.
+
+    Parameters
+    ----------
+    closed_loop : stated by the user. known : with its controller.
+    """
     data, plant = problem.train, problem.plant
     notes = [*problem.notes, *plant.notes]
     for k, name in enumerate(plant.output_names):
@@ -20,12 +30,15 @@ def hygiene(problem: Problem, closed_loop: bool = False) -> list[str]:
         notes += _distinct(name, y)
         notes += _flat(name, y)
         notes += _sign(name, y, problem.nominal.Y[:, k], combine({}, (dict(problem.structure.output_units[k]), 1)))
+        notes += [f"{name} is constant in {r}: nothing of it is tested there"
+                  for r, (a, b) in zip(problem.test.names, problem.test.recordings, strict=True)
+                  if np.ptp(problem.test.Y[a:b, k]) == 0]
     notes += _swapped(problem)
     notes += timing_notes(problem)
     for j, name in enumerate(plant.input_names):
         if np.ptp(data.U[:, j]) == 0:
             notes.append(f"input {name} is constant: effects of this channel cannot be seen")
-    notes += _feedback(problem, closed_loop)
+    notes += _feedback(problem, closed_loop, known)
     notes += _coverage(problem)
     return notes
 
@@ -92,25 +105,45 @@ def _swapped(problem):
     return notes
 
 
-def _feedback(problem, closed_loop):
-    """Residual against later inputs: a correlation that leads the input is the controller at work."""
-    if closed_loop:
-        return ["closed loop as stated: the simulation runs on the recorded plant input"]
-    data = problem.train
-    r = problem.null.residual(data)[:, 0]
+def with_feedback(problem: Problem, stated: bool) -> Problem:
+    """The problem marked as recorded in closed loop, where that was stated or shows: its intervals are widened."""
+    feedback = stated or leads_input(problem.train, problem.null.residual(problem.train)) > LEADS
+    return replace(problem, settings=replace(problem.settings, feedback=feedback))
+
+
+def leads_input(data: Dataset, residual) -> float:
+    """Largest correlation of a residual's changes with later changes of an input: the controller at work.
+
+    Parameters
+    ----------
+    residual : (N, ny) recorded minus simulated outputs.
+    """
     worst = 0.0
-    for j in range(data.U.shape[1]):
-        du = np.diff(data.U[:, j], prepend=data.U[0, j])
-        du = du - du.mean()
-        for a, b in data.recordings:
-            n = b - a
-            white = np.diff(r[a:b], prepend=r[a])
-            power = np.linalg.norm(white) * np.linalg.norm(du[a:b])
-            if power > 0:
-                lags = range(1, min(20, n // 10))
-                worst = max([worst] + [abs(white[:-k] @ du[a:b][k:]) / power for k in lags])
-    if worst > 0.3:
-        return [f"the residual leads the input (correlation {worst:.2f}): the recordings look like closed loop"]
+    for r in residual.T:
+        for j in range(data.U.shape[1]):
+            du = np.diff(data.U[:, j], prepend=data.U[0, j])
+            du = du - du.mean()
+            for a, b in data.recordings:
+                n = b - a
+                white = np.diff(r[a:b], prepend=r[a])
+                power = np.linalg.norm(white) * np.linalg.norm(du[a:b])
+                if power > 0:
+                    lags = range(1, min(20, n // 10))
+                    worst = max([worst] + [abs(white[:-k] @ du[a:b][k:]) / power for k in lags])
+    return float(worst)
+
+
+def _feedback(problem, closed_loop, known):
+    widened = "; intervals are widened by what feedback may have bent"
+    if known:
+        return ["closed loop with a known controller: fitted on the recorded plant input, and simulated from reference "
+                f"to input and output for comparison{widened}"]
+    if closed_loop:
+        return [f"closed loop as stated, controller unknown: the simulation runs on the recorded plant input{widened}"]
+    worst = leads_input(problem.train, problem.null.residual(problem.train))
+    if worst > LEADS:
+        return [f"the residual leads the input (correlation {worst:.2f}): the recordings look like closed loop"
+                f"{widened}"]
     return []
 
 

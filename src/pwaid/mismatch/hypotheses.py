@@ -111,7 +111,7 @@ def _trials(problem: Problem, base: Fit, candidate: Screened) -> list[Fit]:
     model = Model(problem.settings, (*base.model.located, candidate.located))
     starts = candidate.starts or (np.zeros(candidate.located.size),)
     data, X0 = problem.coarse, base.X0
-    if not any(e.effect.family == "time" for e in model.located):
+    if problem.plant.black_box is None and not any(e.effect.family == "time" for e in model.located):
         data, X0 = _window(problem, base)
     before, n = base.theta, base.model.np
     options = [np.concatenate([before, z]) for z in starts[:2 if candidate.located.size < 2 else 3]]

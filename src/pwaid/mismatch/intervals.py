@@ -8,9 +8,10 @@ import numpy as np
 from scipy.stats import t as student
 
 from pwaid.mismatch.fit import Fit, jacobian
+from pwaid.mismatch.hygiene import leads_input
 from pwaid.mismatch.nullfit import Problem
 
-__all__ = ["covariance", "parameter_intervals"]
+__all__ = ["covariance", "feedback_widening", "parameter_intervals"]
 
 
 def covariance(problem: Problem, fit: Fit, blocks: int = 40) -> np.ndarray:
@@ -48,9 +49,26 @@ def covariance(problem: Problem, fit: Fit, blocks: int = 40) -> np.ndarray:
     return robust * np.outer(scale, scale)
 
 
+def feedback_widening(problem: Problem, fit: Fit) -> float:
+    """Factor on the intervals' half-width for recordings in closed loop; 1 in open loop.
+
+    In closed loop an error bends later inputs, and with them the sensitivities g that the fit leans on. With c the
+    correlation of errors and later inputs and rho that of neighbouring errors, g and r may correlate by about c rho
+    where a fit in open loop has 1/sqrt(N): a bias of up to c rho sqrt(N) standard deviations, added in squares.
+    White errors (rho = 0) bend nothing.
+    """
+    if not problem.settings.feedback:
+        return 1.0
+    data = problem.train
+    r = data.Y - fit.Y
+    rho = max([0.0] + [float(e[1:] @ e[:-1] / max(e @ e, 1e-300)) for e in (r - r.mean(0)).T])
+    return float(np.sqrt(1.0 + len(r) * (leads_input(data, r) * rho) ** 2))
+
+
 def parameter_intervals(problem: Problem, fit: Fit, level: float = 0.9):
     """Low and high of every global parameter on the fitted axis, and the correlation matrix."""
     C = covariance(problem, fit)
     width = student.ppf(0.5 + level / 2, 20) * np.sqrt(np.maximum(np.diag(C), 0))
+    width = width * feedback_widening(problem, fit)
     d = np.sqrt(np.maximum(np.diag(C), 1e-300))
     return fit.theta - width, fit.theta + width, C / np.outer(d, d)

@@ -7,11 +7,12 @@ from functools import cached_property
 
 import numpy as np
 
+from pwaid.mismatch.blackbox_engine import simulate_black_box
 from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.effects.base import Effect, Place, scale_of, unit_of
 from pwaid.mismatch.engine import idle, simulate_segments
 from pwaid.mismatch.plant import Plant
-from pwaid.mismatch.slow_engine import simulate_segments_slowly
+from pwaid.mismatch.slow_engine import Variant, simulate_columns
 
 __all__ = ["Located", "Model", "Settings"]
 
@@ -103,6 +104,7 @@ class Settings:
     tolerance: np.ndarray
     substeps: int = 1
     first_order_hold: bool = False
+    feedback: bool = False  # the recordings come from a closed loop
 
 
 class Model:
@@ -166,28 +168,60 @@ class Model:
         return self.simulate_with(self.parameters(theta), self.parts(theta), X0, data)
 
     def simulate_with(self, p, parts, X0, data: Dataset):
-        Q = np.zeros((3, self.width))
-        delay = np.zeros(data.U.shape[1])
+        """The same for plant parameters p and the effects' parameters in their units."""
+        Q, delay = self.laws(parts, data.U.shape[1])
+        if self.settings.plant.black_box is not None:
+            return simulate_black_box(self, p, Q, delay, X0, data, LIMIT)
+        Y = np.empty((len(data.U), data.Y.shape[1]))
+        X = np.empty((len(data.U), self.nx + self.extra))
+        self.run(p, Q, delay, self.start(X0, data.U[data.segments[:, 0]]), data.segments, data.U, data.sample_time, X,
+                 Y)
+        return Y, X
+
+    def laws(self, parts, n_inputs: int) -> tuple[np.ndarray, np.ndarray]:
+        """Parameters and constants of the effects (3, width), and the delay of every input in seconds."""
+        Q, delay = np.zeros((3, self.width)), np.zeros(n_inputs)
         for k, (e, values) in enumerate(zip(self.located, parts, strict=True)):
             row = np.concatenate([values, e.place.constants])
             Q[k, :row.size] = row
             if e.effect.delays:
                 delay[e.place.ii[8]] += values[0]
-        start = np.zeros((len(data.segments), self.nx + self.extra))
+        return Q, delay
+
+    def start(self, X0, U0) -> np.ndarray:
+        """(n_segments, nx + extra) start states, the effects' memory included, for first inputs U0 (n_segments, nu)."""
+        start = np.zeros((len(X0), self.nx + self.extra))
         start[:, :self.nx] = X0
         for k, e in enumerate(self.located):
             o = self.II[k, 0]
             if e.effect.start == "input":
-                start[:, o:o + e.effect.extra_states] = data.U[data.segments[:, 0], self.II[k, 8]][:, None]
+                start[:, o:o + e.effect.extra_states] = U0[:, self.II[k, 8]][:, None]
             elif e.effect.start == "stored":
                 start[:, o] = X0[:, self.II[k, 4]]
-        Y = np.empty((len(data.U), data.Y.shape[1]))
-        X = np.empty((len(data.U), self.nx + self.extra))
+        return start
+
+    def run(self, p, Q, delay, start, segments, U, sample_time: float, X, Y) -> None:
+        """Simulate every segment from its start (n_segments, nx + extra) into X and Y."""
         plant, s = self.settings.plant, self.settings
-        loop = simulate_segments if plant.rhs is not None else simulate_segments_slowly
-        first = plant.rhs if plant.rhs is not None else plant
-        loop(first, plant.out if plant.rhs is not None else None, *self.kernels, len(self.located), self.nx,
-             start, data.segments, data.U, delay, data.sample_time, 1 if plant.dt else self.substeps,
-             float(s.first_order_hold), int(plant.dt > 0), p, self.II, Q, self.proximal, s.partner, s.ratio,
-             X, Y, LIMIT)
-        return Y, X
+        if plant.rhs is None:
+            found = simulate_columns(self, [Variant(p, Q, delay, start)], segments, U, sample_time, LIMIT)
+            for a, b in segments[:, :2]:
+                X[a:b], Y[a:b] = found[0][0, a:b], found[1][0, a:b]
+            return
+        simulate_segments(plant.rhs, plant.out, *self.kernels, len(self.located), self.nx, start, segments, U, delay,
+                          sample_time, 1 if plant.dt else self.substeps, float(s.first_order_hold), int(plant.dt > 0),
+                          p, self.II, Q, self.proximal, s.partner, s.ratio, X, Y, LIMIT)
+
+    def simulate_many(self, asked, data: Dataset) -> list[tuple[np.ndarray, np.ndarray]]:
+        """`simulate` for several (theta, X0), in one sweep where the plant runs in Python."""
+        plant = self.settings.plant
+        if plant.rhs is not None or plant.black_box is not None:
+            return [self.simulate(theta, X0, data) for theta, X0 in asked]
+        U0, variants = data.U[data.segments[:, 0]], []
+        for theta, X0 in asked:
+            Q, delay = self.laws(self.parts(theta), data.U.shape[1])
+            variants.append(Variant(self.parameters(theta), Q, delay, self.start(X0, U0)))
+        if not variants:
+            return []
+        X, Y = simulate_columns(self, variants, data.segments, data.U, data.sample_time, LIMIT)
+        return list(zip(Y, X, strict=True))

@@ -169,6 +169,8 @@ def _positive_start(plant, X0, data):
 def _growth(plant: Plant, states, inputs) -> float:
     """Largest real part of the linearisation's eigenvalues (per second), median over visited points."""
     found = []
+    if plant.black_box is not None or not plant.sizes[0]:
+        return -np.inf  # nothing that pwaid could restart in the middle of a recording
     rng = np.random.default_rng(0)
     for k in rng.integers(0, len(states), 8):
         x, u = states[k], inputs[k]
@@ -254,6 +256,7 @@ def prepare(plant: Plant, train: Dataset, test: Dataset, input_units, output_uni
     Y, X = model.simulate(theta, X0, coarse)
     notes += _diverging(Y)
     ranges = np.minimum(np.maximum(np.quantile(np.abs(X[np.all(np.isfinite(X), axis=1)]), 0.99, axis=0), 1e-9), 1e6)
+    ranges = np.maximum(ranges, plant.start_sizes)
     for k, i in enumerate(rough.output_state):
         if i >= 0:
             ranges[i] = np.max(np.abs(train.Y[:, k])) + 1e-9
@@ -278,8 +281,11 @@ def prepare(plant: Plant, train: Dataset, test: Dataset, input_units, output_uni
     null = fit_model(model, train, sigma, null.theta, null.X0, ranges, 20)
     null_coarse = null if train.segments.shape == coarse.segments.shape else fit_model(
         model, coarse, sigma, first.theta, first.X0, ranges, 20)
-    nominal_test = fit_starts(model, test, sigma, theta, _starts(model, theta, test, mapping), ranges, 12)
-    null_test = fit_starts(model, test, sigma, null.theta, _starts(model, null.theta, test, mapping), ranges, 12)
+    X0t = _starts(model, null.theta, test, mapping)
+    if plant.black_box is not None:  # outputs do not tell its start: come near it before errors are weighted finely
+        X0t = fit_starts(model, test, scale, theta, X0t, ranges, 12).X0
+    nominal_test = fit_starts(model, test, sigma, theta, X0t, ranges, 12)
+    null_test = fit_starts(model, test, sigma, null.theta, X0t, ranges, 12)
     length = float(np.max(np.diff(train.recordings)) * train.sample_time)
     structure = find_structure(plant, null.X[:, :plant.sizes[0]], train.U, train.Y, input_units, output_units,
                                train.sample_time, length, free)

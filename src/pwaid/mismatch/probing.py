@@ -11,6 +11,7 @@ from itertools import permutations
 
 import numpy as np
 
+from pwaid.errors import InputError
 from pwaid.mismatch.plant import Plant
 from pwaid.mismatch.structure import Structure
 from pwaid.mismatch.units import parse_unit, unit_kind
@@ -44,7 +45,7 @@ def find_structure(plant: Plant, states, inputs, outputs, input_units, output_un
     low, high = np.quantile(states, 0.002, axis=0), np.quantile(states, 0.998, axis=0)
     rms_u = np.sqrt(np.mean(inputs**2, axis=0)) if nu else np.zeros(0)
     rng = np.random.default_rng(0)
-    points = [(low + (high - low) * rng.uniform(size=nx), rms_u * rng.normal(size=nu)) for _ in range(12)]
+    points = _points(plant, rng, low, high, rms_u)
     partner, ratio = _kinematics(plant, points, low, high)
     output_state, gains = _output_map(plant, points, low, high)
     in_units = tuple(parse_unit(u) for u in input_units)
@@ -78,7 +79,44 @@ def find_structure(plant: Plant, states, inputs, outputs, input_units, output_un
     return Structure(
         plant, tuple(kinds), partner, ratio, entry, scale, tuple(units), funits, iunits, low, high, rms_u,
         np.max(np.abs(inputs), axis=0) if nu else np.zeros(0), in_units, np.min(outputs, axis=0),
-        np.max(outputs, axis=0), out_units, output_state, time_scale, float(length), tuple(free), mobility)
+        np.max(outputs, axis=0), out_units, output_state, time_scale, float(length), tuple(free), mobility,
+        _hook_scale(plant, inputs, outputs))
+
+
+def _hook_scale(plant, inputs, outputs):
+    """Size of a constant at each force hook of a black box that moves the outputs as much as they vary."""
+    if not plant.force_names:
+        return ()
+    nu, values, still = plant.sizes[1], plant.black_box.parameters, np.zeros(plant.sizes[0])
+    U = np.zeros((len(inputs), nu + len(plant.force_names)))
+    U[:, :nu] = inputs
+    spread, found = np.std(outputs, axis=0) + 1e-300, []
+    for j in range(len(plant.force_names)):
+        size = 1.0
+        for _ in range(3):  # the response need not be linear
+            pushed = U.copy()
+            pushed[:, nu + j] = size
+            base, moved = plant.black_box.run(U, values, still), plant.black_box.run(pushed, values, still)
+            if base is None or moved is None or not np.all(np.isfinite(moved - base)):
+                size *= 1e-3
+                continue
+            response = float(np.max(np.sqrt(np.mean((moved - base) ** 2, axis=0)) / spread))
+            size = size / response if response > 1e-9 else size
+        found.append(size)
+    return tuple(found)
+
+
+def _points(plant, rng, low, high, rms_u, count: int = 12):
+    """States and inputs where the plant can be evaluated, within the ranges met."""
+    found = []
+    for _ in range(10 * count):
+        x, u = low + (high - low) * rng.uniform(size=len(low)), rms_u * rng.normal(size=len(rms_u))
+        if np.all(np.isfinite(plant.derivative(x, u))) and np.all(np.isfinite(plant.outputs(x, u))):
+            found.append((x, u))
+        if len(found) == count:
+            return found
+    raise InputError(f"the simulator gives finite derivatives at {len(found)} of {10 * count} states between "
+                     f"{low.tolist()} and {high.tolist()}; expected them wherever the recordings go")
 
 
 def _joined_motion(points, states, kinds, low, high):
@@ -152,7 +190,7 @@ def _kind_of(i, plant, partner, units, output_state, output_units):
         return "position"
     if i in partner:
         return "velocity"
-    if plant.dt and plant.linear:
+    if plant.black_box is not None or (plant.dt and plant.linear):
         return "abstract"
     for k, state in enumerate(output_state):
         if state == i:

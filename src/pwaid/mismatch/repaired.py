@@ -6,6 +6,7 @@ memory (play, rate limits, friction at rest) is kept in extra states. The file h
 
 from __future__ import annotations
 
+import inspect
 import re
 from collections.abc import Mapping
 
@@ -15,8 +16,9 @@ from pwaid.mismatch import repaired_parts as parts
 from pwaid.mismatch.hypotheses import Hypothesis
 from pwaid.mismatch.lawsource import Law, law_functions
 from pwaid.mismatch.model import Model
+from pwaid.mismatch.realise import realise
 
-__all__ = ["repaired_source", "repaired_system"]
+__all__ = ["repaired_source", "repaired_system", "without_future"]
 
 
 def repaired_system(hypothesis: Hypothesis, sample_time: float) -> control.NonlinearIOSystem:
@@ -27,7 +29,7 @@ def repaired_system(hypothesis: Hypothesis, sample_time: float) -> control.Nonli
     space: dict = {}
     exec(compile(repaired_source(hypothesis, sample_time, None), "<repaired simulator>", "exec"), space)
     plant = hypothesis.fit.model.settings.plant
-    update, output = space["make_repaired"](plant.update, plant.output)
+    update, output = space["make_repaired"](plant.update, plant.output, plant.constants)
     return control.nlsys(update, output, inputs=list(plant.input_names), outputs=list(plant.output_names),
                          states=list(plant.state_names) + space["MEMORY"], params=dict(space["REFITTED"]),
                          dt=sample_time, name="repaired")
@@ -48,14 +50,15 @@ def repaired_source(hypothesis: Hypothesis, sample_time: float, simulator_source
     text = [_header(hypothesis)] if simulator_source is not None else []
     text.append("from math import cos, exp, floor, sin, sqrt\n\nimport control\nimport numpy as np\n")
     if simulator_source is not None:
-        text.append(parts.rule("the nominal simulator, unchanged") + _strip_future(simulator_source).rstrip()
+        text.append(parts.rule("the nominal simulator, unchanged") + without_future(simulator_source).rstrip()
                     + "\n\n\nnominal_build = build\n")
     text.append(parts.rule("what was fitted") + _values(hypothesis, laws, sample_time, comments))
     if laws:
         text.append(parts.rule("the missing physics") + "\n\n".join(_law_text(law) for law in laws))
     text.append(parts.rule("the repaired simulator") + _simulator(model, laws))
     if simulator_source is not None:
-        text.append(parts.LINEAR_BUILD if model.settings.plant.linear else parts.BUILD)
+        linear = model.settings.plant.linear
+        text.append(inspect.getsource(realise) + parts.LINEAR_BUILD if linear else parts.BUILD)
         text.append(_simulate(model))
     return "\n\n\n".join(t.strip("\n") for t in text) + "\n"
 
@@ -72,7 +75,8 @@ def _memory_names(model: Model) -> list[str]:
     return [f"z{i}" for i in range(model.extra)]
 
 
-def _strip_future(text: str) -> str:
+def without_future(text: str) -> str:
+    """A module's text without its __future__ imports, which only stand at the top of a file."""
     return "\n".join(line for line in text.splitlines() if not line.startswith("from __future__"))
 
 

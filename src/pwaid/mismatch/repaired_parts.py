@@ -24,10 +24,13 @@ def filled(text: str, values: Mapping[str, object]) -> str:
 
 
 PLANT = '''
-def make_repaired(nominal_update, nominal_output):
-    """Update and output functions of the repaired simulator around those of the nominal one."""
+def make_repaired(nominal_update, nominal_output, others=None):
+    """Update and output functions of the repaired simulator around those of the nominal one.
 
+    others: what the nominal params hold besides numbers.
+    """
     def nominal(t, state, inputs, params):
+        params = {**(others or {}), **params}
         return np.asarray(nominal_update(t, state[:«NX»], inputs, params), dtype=float).ravel()
 
     def derivative(t, h, state, inputs, params):
@@ -182,7 +185,7 @@ UPDATE = '''
         if nominal_output is None:
             outputs = state[:«NX»].copy()
         else:
-            outputs = np.array(nominal_output(t, state[:«NX»], inputs, params), dtype=float).ravel()
+            outputs = np.array(nominal_output(t, state[:«NX»], inputs, {**(others or {}), **params}), dtype=float).ravel()
 «SENSORS»
         return outputs
 
@@ -210,7 +213,8 @@ BUILD = '''
 def build():
     """The repaired simulator as a discrete-time control.nlsys."""
     system = nominal_build()
-    update, output = make_repaired(system.updfcn, system.outfcn)
+    others = {k: v for k, v in (system.params or {}).items() if k not in REFITTED}
+    update, output = make_repaired(system.updfcn, system.outfcn, others)
     return control.nlsys(update, output, inputs=list(system.input_labels), outputs=list(system.output_labels),
                          states=list(system.state_labels) + MEMORY, params=dict(REFITTED), dt=SAMPLE_TIME,
                          name="repaired")
@@ -219,7 +223,8 @@ def build():
 LINEAR_BUILD = '''
 def build():
     """The repaired simulator as a discrete-time control.nlsys."""
-    system = control.ss(nominal_build())
+    system = nominal_build()
+    system = realise(system) if isinstance(system, control.TransferFunction) else control.ss(system)
 
     def matrix(name, params):
         M = np.array(getattr(system, name))

@@ -20,6 +20,7 @@ from pwaid.mismatch.locate import Location
 from pwaid.mismatch.measures import fit_table
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.repaired import repaired_source, repaired_system
+from pwaid.mismatch.repaired_blackbox import black_box_source, repaired_black_box
 from pwaid.mismatch.summary import interval, summary_text
 from pwaid.mismatch.units import combine
 
@@ -62,8 +63,9 @@ class Report:
 
     @cached_property
     def simulator(self):
-        """The repaired simulator as a discrete-time control.nlsys."""
-        return repaired_system(self.best, self.problem.train.sample_time)
+        """The repaired simulator: a discrete-time control.nlsys, or simulate(u) where that was given."""
+        black_box = self.problem.plant.black_box is not None
+        return (repaired_black_box if black_box else repaired_system)(self.best, self.problem.train.sample_time)
 
     def to_dict(self) -> dict:
         """The content of report.json."""
@@ -172,7 +174,7 @@ def _alternatives(decision: Decision) -> list[list[int]]:
 def build_report(problem: Problem, null, singles, pairs, screened, decision: Decision, location: Location,
                  notes,
                  tried: int, seconds: float, fallback: Hypothesis | None = None, jobs: int = 1,
-                 thresholds: Thresholds | None = None) -> Report:
+                 thresholds: Thresholds | None = None, closed_loop: dict | None = None) -> Report:
     """Gather everything into the content of report.json."""
     names = problem.plant.output_names
     used = fallback if fallback is not None and fallback.share > 0 else None
@@ -218,6 +220,8 @@ def build_report(problem: Problem, null, singles, pairs, screened, decision: Dec
                    for s in screened],
         "hypotheses_tried": tried, "seconds": seconds,
     }
+    if closed_loop is not None:
+        content["closed_loop"] = closed_loop
     return Report(_clean(content), problem, null, decision, tuple(singles), tuple(pairs), location, used, told, plan)
 
 
@@ -282,11 +286,16 @@ def write_report(report: Report, out: Path, simulator_source: str) -> None:
         comments[name] = f"nominal {v['nominal']:.6g}, 90 %: {interval(v['refitted'], v['low'], v['high'])}"
     from pwaid.mismatch.html import html_page
 
+    step = report.problem.train.sample_time
+    if report.problem.plant.black_box is None:
+        repaired = repaired_source(report.best, step, simulator_source, comments)
+    else:
+        rows = [f"{name}: {said}" for name, said in comments.items()]
+        repaired = black_box_source(report.best, step, simulator_source, rows)
     files = {"report.json": json.dumps(report.content, indent=1, allow_nan=False),
              "report.html": html_page(report),
              "report.txt": report.summary,
-             "repaired_simulator.py": repaired_source(report.best, report.problem.train.sample_time,
-                                                      simulator_source, comments)}
+             "repaired_simulator.py": repaired}
     out.mkdir(parents=True, exist_ok=True)
     for name, text in files.items():
         (out / name).write_text(text, encoding="utf-8")

@@ -1,129 +1,197 @@
 """The same loop as `engine.simulate_segments` for a right-hand side that does not compile.
 
-All segments run side by side; the plant is called once per stage with one column per segment when it
-accepts arrays (checked by the caller), else once per segment.
+Every segment of every perturbed simulation is one column; all columns advance side by side, so that one call of
+the user's function serves them all when it takes arrays in place of scalars (`Plant.takes_arrays`, verified against
+single calls), and one call per column does otherwise. The effects' kernels are compiled and run column by column.
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import cache
+
 import numpy as np
+from numba import boolean, njit, types
+from numba import float64 as f8
+from numba import int64 as i8
 
-__all__ = ["simulate_segments_slowly"]
+from pwaid.mismatch.engine import _input_at
 
+__all__ = ["Variant", "simulate_columns"]
 
-def _held(U, begin, end, k, s, S, delay, Ts, hold):
-    u = U[k].copy()
-    for j in range(u.size):
-        if delay[j] == 0.0 and hold == 0.0:
-            continue
-        m = k + (s + 0.5) / S - delay[j] / Ts
-        i = int(np.floor(m))
-        lo, hi = np.clip([i, i + 1], begin, end - 1)
-        u[j] = U[lo, j] if hold == 0.0 else (1 - (m - i)) * U[lo, j] + (m - i) * U[hi, j]
-    return u
+_V, _M = f8[::1], f8[:, ::1]
 
 
-class _Stage:
-    """The augmented right-hand side around a plain Python plant."""
+@dataclass(frozen=True)
+class Variant:
+    """One simulation of all segments: parameters p, the effects' Q (3, width), delays (nu,), starts (segments, nt)."""
 
-    def __init__(self, plant, kernels, ne, nx, II, Q):
-        self.plant, self.kernels, self.ne, self.nx, self.II, self.Q = plant, kernels, ne, nx, II, Q
-        self.sliding: dict = {}
+    p: np.ndarray
+    Q: np.ndarray
+    delay: np.ndarray
+    start: np.ndarray
 
-    def effects(self, phase, t, h, x, xs, u, p, dx):
-        for e in range(self.ne):
-            self.kernels[e](phase, t, h, x, xs, u, p, dx, self.II[e], self.Q[e])
 
-    def __call__(self, t, h, x, u, p):
-        xs, us, ps, dx = x.copy(), u.copy(), p.copy(), np.zeros(x.size)
-        self.effects(1, t, h, x, xs, us, ps, dx)
-        dx[:self.nx] = self.plant.derivative(xs[:self.nx], us, ps, t)
-        self.effects(2, t, h, x, xs, us, ps, dx)
-        for e, column in self.sliding.items():
-            self.kernels[e](5, t, h, x, column, us, ps, dx, self.II[e], self.Q[e])
-        return dx
+@cache
+def _by_columns(effect):
+    """A compiled kernel run on the chosen columns; once each, because handing functions over costs 0.1 ms a call."""
 
-    def mobility(self, t, x, u, p, ii):
-        col = np.zeros(x.size)
+    @njit(types.void(i8, _V, f8, _M, _M, _M, _M, _M, i8[::1], _M, boolean[::1]), nogil=True, error_model="numpy")
+    def run(phase, t, h, X, XS, U, P, DX, ii, Q, chosen):
+        for c in range(len(X)):
+            if chosen[c]:
+                effect(phase, t[c], h, X[c], XS[c], U[c], P[c], DX[c], ii, Q[c])
+
+    return run
+
+
+@njit(types.void(_M, i8[:, ::1], i8, i8, i8, _M, f8, f8, _M), cache=True, nogil=True, error_model="numpy")
+def _inputs(U, segments, j, s, S, delay, Ts, hold, out):
+    """The inputs every column sees in substep s of its sample j."""
+    for c in range(len(out)):
+        _input_at(U, segments[c, 2], segments[c, 3], segments[c, 0] + j, s, S, delay[c], out[c], Ts, hold)
+
+
+class _Columns:
+    """The live columns: states X (M, nt), parameters P (M, np), effects' parameters Q (ne, M, width)."""
+
+    def __init__(self, model, P, Q):
+        self.model, self.plant, self.nx, self.P, self.Q = model, model.settings.plant, model.nx, P, Q
+        self.kernels = [_by_columns(model.kernels[e]) for e in range(len(model.located))]
+        self.dry = [e for e in range(len(model.located)) if model.proximal[e]]
+
+    def part(self, chosen) -> _Columns:
+        return self if np.all(chosen) else _Columns(self.model, self.P[chosen], self.Q[:, chosen].copy())
+
+    def effects(self, phase, t, h, X, XS, U, P, DX, chosen=None, only=None):
+        chosen = np.ones(len(X), dtype=bool) if chosen is None else chosen
+        for e in range(len(self.model.located)) if only is None else only:
+            self.kernels[e](phase, t, h, X, XS, U, P, DX, self.model.II[e], self.Q[e], chosen)
+
+    def rates(self, t, h, X, U, mobility, sliding):
+        XS, US, PS, DX = X.copy(), U.copy(), self.P.copy(), np.zeros_like(X)
+        self.effects(1, t, h, X, XS, US, PS, DX)
+        DX[:, :self.nx] = self.plant.derivatives(t, XS[:, :self.nx], US, PS)
+        self.effects(2, t, h, X, XS, US, PS, DX)
+        for e in self.dry:
+            self.effects(5, t, h, X, mobility[e], US, PS, DX, sliding, (e,))
+        return DX
+
+    def outputs(self, t, Ts, X, U):
+        XS, US, PS = X.copy(), U.copy(), self.P.copy()
+        self.effects(1, t, 0.0, X, XS, US, PS, np.zeros_like(X))
+        Y = self.plant.many_outputs(t, XS[:, :self.nx], US, PS)
+        self.effects(3, t, Ts, X, XS, US, PS, Y)
+        return Y
+
+    def mobility(self, t, X, U, ii):
+        """Acceleration per unit force at the place ii describes, (M, nt)."""
+        found = np.zeros_like(X)
         if ii[1] == 0:
-            push = u.copy()
-            push[ii[2]] += 1.0
-            col[:self.nx] = (self.plant.derivative(x[:self.nx], push, p, t)
-                             - self.plant.derivative(x[:self.nx], u, p, t))
+            push = U.copy()
+            push[:, ii[2]] += 1.0
+            x = X[:, :self.nx]
+            found[:, :self.nx] = (self.plant.derivatives(t, x, push, self.P) - self.plant.derivatives(t, x, U, self.P))
         else:
-            col[ii[2]] = 1.0 / p[ii[3]] if ii[3] >= 0 else 1.0
-        return col
+            found[:, ii[2]] = 1.0 / self.P[:, ii[3]] if ii[3] >= 0 else 1.0
+        return found
 
+    def substep(self, t, h, X, U, Ts, sliding):
+        """Advance copies of X by h: memory, one Runge-Kutta step, dry friction inside it (sliding) or after it."""
+        model, X = self.model, X.copy()
+        mobility = {e: self.mobility(t, X, U, model.II[e]) for e in self.dry}
+        self.effects(0, t, h, X, X.copy(), U, self.P, np.zeros_like(X))
+        before = X.copy()
+        k1 = self.rates(t, h, X, U, mobility, sliding)
+        if self.plant.dt:
+            X = np.hstack([k1[:, :self.nx], X[:, self.nx:] + Ts * k1[:, self.nx:]])
+        else:
+            k2 = self.rates(t + h / 2, h, X + h / 2 * k1, U, mobility, sliding)
+            k3 = self.rates(t + h / 2, h, X + h / 2 * k2, U, mobility, sliding)
+            k4 = self.rates(t + h, h, X + h * k3, U, mobility, sliding)
+            X = X + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
+        if self.dry and not np.all(sliding):
+            free = X.copy()
+            for e in self.dry:
+                self.effects(4, t, h, X, before, U, self.P, mobility[e].copy(), ~sliding, (e,))
+            for i in range(self.nx if not self.plant.dt else 0):  # the friction force acted during the whole substep
+                j = model.settings.partner[i]
+                if j >= 0:
+                    rest = (before[:, j] == 0.0) & (X[:, j] == 0.0)
+                    moved = np.where(rest, before[:, i],
+                                     X[:, i] + 0.5 * h * model.settings.ratio[i] * (X[:, j] - free[:, j]))
+                    X[:, i] = np.where(sliding, X[:, i], moved)
+        return X
 
-def simulate_segments_slowly(plant, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, discrete,
-                             p, II, Q,
-                             proximal, partner, ratio, X, Y, limit):
-    """Same arguments and results as the compiled loop, with the plant in place of its compiled functions."""
-    stage = _Stage(plant, (e0, e1, e2), ne, nx, II, Q)
-    h, failed = Ts / S, 0
-    for g, (first, last, begin, end) in enumerate(segments):
-        x, alive = X0[g].copy(), True
-        for k in range(first, last):
-            t = (k - begin) * Ts
-            X[k] = x
-            xs, us, ps = x.copy(), _held(U, begin, end, k, 0, S, delay, Ts, 0.0), p.copy()
-            stage.effects(1, t, 0.0, x, xs, us, ps, np.zeros(x.size))
-            y = plant.outputs(x[:nx], us, ps, t)
-            stage.effects(3, t, Ts, x, xs, us, ps, y)
-            Y[k] = y if alive else limit
-            if not alive:
-                continue
-            for s in range(S):
-                u = _held(U, begin, end, k, s, S, delay, Ts, hold)
-                x = _advance(stage, t + s * h, h, x, u, p, discrete, Ts, proximal, partner, ratio)
-                if not np.all(np.abs(x) <= limit):
-                    alive, x, failed = False, np.zeros_like(x), failed + 1
-                    break
-    return failed
-
-
-def _advance(stage, t, h, x, u, p, discrete, Ts, proximal, partner, ratio):
-    """One substep; with dry friction an event inside it is found and stepped over in eight pieces."""
-    dry = [stage.II[e, 4] for e in range(stage.ne) if proximal[e]]
-    rest = (p, discrete, Ts, proximal, partner, ratio)
-    if not dry or discrete:
-        return _substep(stage, t, h, x.copy(), u, *rest, False)
-
-    def event(a, b):
-        return any(a[i] * b[i] <= 0.0 and (a[i] != 0.0 or b[i] != 0.0) for i in dry)
-
-    end = _substep(stage, t, h, x.copy(), u, *rest, all(x[i] != 0.0 for i in dry))
-    if not event(x, end):
+    def advance(self, t, h, X, U, Ts):
+        """One substep; columns in which dry friction meets an event take it in eight pieces."""
+        never = np.zeros(len(X), dtype=bool)
+        if not self.dry or self.plant.dt:
+            return self.substep(t, h, X, U, Ts, never)
+        end = self.substep(t, h, X, U, Ts, self._sliding(X))
+        met = self._event(X, end)
+        if not met.any():
+            return end
+        some, x, u, clock = self.part(met), X[met].copy(), U[met].copy(), t[met].copy()
+        for piece in range(8):
+            sliding = some._sliding(x)
+            new = some.substep(clock + piece * h / 8, h / 8, x, u, Ts, sliding)
+            again = sliding & some._event(x, new)
+            if again.any():
+                few = some.part(again)
+                new[again] = few.substep(clock[again] + piece * h / 8, h / 8, x[again].copy(), u[again].copy(), Ts,
+                                         np.zeros(int(again.sum()), dtype=bool))
+            x = new
+        end[met] = x
         return end
-    for piece in range(8):
-        sliding = all(x[i] != 0.0 for i in dry)
-        end = _substep(stage, t + piece * h / 8, h / 8, x.copy(), u, *rest, sliding)
-        if sliding and event(x, end):
-            end = _substep(stage, t + piece * h / 8, h / 8, x.copy(), u, *rest, False)
-        x = end
-    return x
+
+    def _speeds(self, X):
+        return X[:, [self.model.II[e, 4] for e in self.dry]]
+
+    def _sliding(self, X):
+        return np.all(self._speeds(X) != 0.0, axis=1)
+
+    def _event(self, A, B):
+        """A reversal, a stop or a release of something with dry friction."""
+        a, b = self._speeds(A), self._speeds(B)
+        return np.any((a * b <= 0.0) & ((a != 0.0) | (b != 0.0)), axis=1)
 
 
-def _substep(stage, t, h, x, u, p, discrete, Ts, proximal, partner, ratio, sliding):
-    nx = stage.nx
-    dry = [e for e in range(stage.ne) if proximal[e]]
-    columns = {e: stage.mobility(t, x, u, p, stage.II[e]) for e in dry}
-    stage.effects(0, t, h, x, x.copy(), u, p, np.zeros(x.size))
-    before = x.copy()
-    stage.sliding = columns if sliding else {}
-    k1 = stage(t, h, x, u, p)
-    if discrete:
-        x = np.concatenate([k1[:nx], x[nx:] + Ts * k1[nx:]])
-    else:
-        k2 = stage(t + h / 2, h, x + h / 2 * k1, u, p)
-        k3 = stage(t + h / 2, h, x + h / 2 * k2, u, p)
-        x = x + h / 6 * (k1 + 2 * k2 + 2 * k3 + stage(t + h, h, x + h * k3, u, p))
-    if dry and not sliding:
-        free = x.copy()
-        for e in dry:
-            stage.kernels[e](4, t, h, x, before, u, p, columns[e].copy(), stage.II[e], stage.Q[e])
-        for i in range(nx):
-            if partner[i] >= 0 and not discrete:
-                j = partner[i]
-                x[i] = before[i] if before[j] == 0.0 and x[j] == 0.0 else x[i] + 0.5 * h * ratio[i] * (x[j] - free[j])
-    return x
+def simulate_columns(model, variants, segments, U, Ts: float, limit: float):
+    """Every variant over every segment, side by side.
+
+    Returns
+    -------
+    X (V, N, nt), Y (V, N, ny) : states and outputs at the samples; `limit` fills outputs of what ran away.
+    """
+    plant, G = model.settings.plant, len(segments)
+    S, hold = 1 if plant.dt else model.substeps, float(model.settings.first_order_hold)
+    X = np.zeros((len(variants), len(U), model.nx + model.extra))
+    Y = np.zeros((len(variants), len(U), len(plant.output_names)))
+    which, rows = np.repeat(np.arange(len(variants)), G), np.tile(segments, (len(variants), 1))
+    state = np.vstack([v.start for v in variants])
+    P = np.repeat([v.p for v in variants], G, axis=0)
+    Q = np.repeat(np.stack([v.Q for v in variants], axis=1), G, axis=1)
+    delay = np.repeat([v.delay for v in variants], G, axis=0)
+    alive = np.ones(len(state), dtype=bool)
+    with np.errstate(all="ignore"):
+        for j in range(int(np.max(rows[:, 1] - rows[:, 0]))):
+            going = rows[:, 0] + j < rows[:, 1]
+            lost = going & ~alive
+            Y[which[lost], rows[lost, 0] + j] = limit
+            live = np.flatnonzero(going & alive)
+            if not live.size:
+                continue
+            columns = _Columns(model, P[live], np.ascontiguousarray(Q[:, live]))
+            x, seg, d = state[live], rows[live], delay[live]
+            t, u = (seg[:, 0] + j - seg[:, 2]) * Ts, np.empty((len(live), U.shape[1]))
+            at = which[live], seg[:, 0] + j
+            X[at] = x
+            _inputs(U, seg, j, 0, S, d, Ts, 0.0, u)
+            Y[at] = columns.outputs(t, Ts, x, u)
+            for s in range(S):
+                _inputs(U, seg, j, s, S, d, Ts, hold, u)
+                x = columns.advance(t + s * Ts / S, Ts / S, x, u, Ts)
+            alive[live] = np.all(np.abs(x) <= limit, axis=1)
+            state[live] = np.where(alive[live][:, None], x, 0.0)
+    return X, Y

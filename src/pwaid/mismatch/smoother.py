@@ -263,11 +263,13 @@ def _rise(run, q, A, B, line, feed, d) -> float:
 def linearise(problem: Problem, samples: int = SAMPLES) -> Linearised | None:
     """The plant along the null trajectory of the training recordings, averaged down to about `samples` instants.
 
-    None where the null simulation ran away. Intervals stay below a tenth of the plant's time scale; what is
-    then still too long is shortened to the head of every segment.
+    None where the null simulation ran away, for a black box, and without states. Intervals stay below a tenth of the
+    plant's time scale; what is then still too long is shortened to the head of every segment.
     """
     plant, data, fit = problem.plant, problem.train, problem.null
     nx = plant.sizes[0]
+    if plant.black_box is not None or not nx:
+        return None
     most = max(1, int(0.1 * problem.structure.time_scale / data.sample_time))
     every = 1 if plant.dt else max(1, min(most, len(data.Y) // samples))
     left = max(20, int(samples * every * 1.5) // len(data.segments))

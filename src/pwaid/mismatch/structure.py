@@ -12,6 +12,7 @@ import numpy as np
 
 from pwaid.mismatch.effects.base import Place
 from pwaid.mismatch.plant import Plant
+from pwaid.mismatch.units import parse_unit
 
 __all__ = ["Structure"]
 
@@ -42,6 +43,7 @@ class Structure:
     length: float
     free: tuple[str, ...]
     mobility: dict[int, float] = field(default_factory=dict)
+    hook_scale: tuple[float, ...] = ()
 
     # ------------------------------------------------------------------ helpers
     def position_of(self, v: int) -> int:
@@ -252,7 +254,7 @@ class Structure:
                 for j, name in enumerate(self.plant.input_names)]
 
     def loads(self) -> list[Place]:
-        """Constant forces: at every speed, and at inputs that drive no speed."""
+        """Constant forces: at every speed, at inputs that drive no speed, and at a black box's force hook."""
         places = [self._place("state", self.plant.state_names[v], [], self._force_ii(v), v=v)
                   for v in self.velocities()]
         taken = {self.entry[v][1] for v in self.velocities() if self.entry[v][0] == 0}
@@ -265,6 +267,10 @@ class Structure:
             places.append(self._place("input", name, [], ii, j=j,
                                       scales={"force": float(self.input_max[j]) or 1.0},
                                       units={"force": self.input_units[j]}))
+        nu = len(self.plant.input_names)
+        for j, (name, unit) in enumerate(zip(self.plant.force_names, self.plant.force_units, strict=True)):
+            places.append(self._place("force", name, [], [0, 0, nu + j, -1, -1, -1, -1, -1, -1, -1, 0, 0],
+                                      scales={"force": self.hook_scale[j]}, units={"force": parse_unit(unit)}))
         return places
 
     def outputs(self, sides: bool = False, variant: int = 0, unsigned: bool = False) -> list[Place]:
@@ -323,6 +329,8 @@ class Structure:
         return places
 
     def drifting_parameters(self) -> list[Place]:
+        if self.plant.black_box is not None and not self.plant.gains:
+            return []  # its parameters hold for a whole call
         names = list(self.plant.parameters)
         return [self._place("parameter", name, ["t"],
                             [0, 0, 0, -1, -1, -1, -1, -1, -1, -1, names.index(name), 0])

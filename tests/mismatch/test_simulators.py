@@ -1,0 +1,95 @@
+"""Every kind of control system is taken: transfer functions, static gains, discrete and MIMO systems."""
+
+from __future__ import annotations
+
+import control
+import numpy as np
+import pytest
+
+from pwaid.errors import InputError
+from pwaid.mismatch import explain
+from pwaid.mismatch.dataset import Dataset
+from pwaid.mismatch.effects.registry import effect_by_id
+from pwaid.mismatch.model import Model, Settings
+from pwaid.mismatch.plant import as_plant
+from pwaid.recording import Recording
+
+DT = 0.05
+FIRST = control.tf([1.0], [0.2, 1.0])
+MATRIX = control.tf([[[1.0], [0.5]], [[0.2], [1.0]]], [[[0.2, 1.0], [0.3, 1.0]], [[0.4, 1.0], [0.1, 1.0]]])
+
+
+def recording(seed, n_inputs, n_outputs, respond=None, samples=120):
+    rng = np.random.default_rng(seed)
+    t = np.arange(samples) * DT
+    U = np.stack([np.sin(2 * np.pi * np.outer(t, rng.uniform(0.1, 1.5, 6)) + rng.uniform(0, 6, 6)).sum(axis=1)
+                  for _ in range(n_inputs)], axis=1)
+    Y = np.zeros((samples, n_outputs)) if respond is None else respond(U)
+    return Recording(t, U, Y + 1e-3 * rng.standard_normal(Y.shape), name=f"s{seed}")
+
+
+def dead(u):
+    return np.sign(u) * np.maximum(np.abs(u) - 0.3, 0.0)
+
+
+@pytest.mark.parametrize("system", [
+    FIRST, control.ss(FIRST), control.sample_system(FIRST, DT), control.ss([], [], [], [[2.0]]),
+    control.tf([2.0], [1.0]), control.ss([], [], [], [[2.0, 0.5], [0.0, 1.0]], DT), MATRIX,
+    control.tf([1.0], [1.0, 0.0, 0.0, 0.0], DT),
+], ids=["tf", "ss", "discrete", "gain", "gain tf", "MIMO gain", "MIMO tf", "delay"])
+def test_the_simulation_is_that_of_the_control_package(system):
+    plant = as_plant(system)
+    nx, nu, ny = plant.sizes
+    rec = recording(1, nu, ny)
+    data = Dataset.from_recordings([rec])
+    model = Model(Settings(plant, np.full(nx, -1), np.zeros(nx), (), np.zeros(0), 8))
+    Y, _ = model.simulate(np.zeros(0), np.zeros((1, nx)), data)
+    want = np.zeros_like(Y)
+    entries = [(i, j, control.ss(system[i, j] if (nu, ny) != (1, 1) else system)) for i in range(ny) for j in range(nu)]
+    for i, j, e in entries:  # every entry sampled with held inputs, stepped by hand
+        e = e if plant.dt or not e.nstates else control.sample_system(e, DT)
+        x = np.zeros(e.nstates)
+        for k, u in enumerate(rec.inputs[:, j]):
+            want[k, i] += float(e.C[0] @ x + e.D[0, 0] * u)
+            x = e.A @ x + e.B[:, 0] * u
+    np.testing.assert_allclose(Y, want, atol=1e-6)
+
+
+def static(t, x, u, params):
+    return np.array([params["gain"] * u[0] + 0.1 * u[0] ** 3])
+
+
+@pytest.mark.parametrize("system", [control.ss([], [], [], [[2.0]]),
+                                    control.nlsys(None, static, inputs=1, outputs=1, params={"gain": 2.0})],
+                         ids=["matrices", "function"])
+def test_a_simulator_without_states_is_explained(system):
+    def respond(u):
+        return 2.0 * dead(u) + (0.0 if isinstance(system, control.StateSpace) else 0.1 * dead(u) ** 3)
+
+    recs = [recording(s, 1, 1, respond) for s in (1, 2, 3)]
+    report = explain(system, recs[:2], recs[2:],
+                     effects=effect_by_id("actuator_deadzone") + effect_by_id("constant_load"))
+    assert [e["id"] for e in report.effects] == ["actuator_deadzone"]
+    assert report.effects[0]["parameters"]["half_width"]["value"] == pytest.approx(0.3, rel=0.02)
+
+
+@pytest.mark.parametrize(("system", "message"), [
+    (control.tf([1.0, 1.0, 0.0], [0.2, 1.0]), "no state space"),
+    (control.frd([1.0, 2.0, 3.0], [1.0, 2.0, 3.0]), "fit a model to frequency data first"),
+    (control.tf([1.0], [1.0, -0.5], True), "unspecified step"),
+])
+def test_what_cannot_be_simulated_gets_one_line(system, message):
+    with pytest.raises(InputError, match=message):
+        as_plant(system)
+
+
+def test_texts_and_arrays_in_params_are_kept():
+    def update(t, x, u, params):
+        force = np.interp(x[0], params["place"], params["force"])
+        return np.array([u[0] - force if params["mode"] == "on" else 0.0])
+
+    plant = as_plant(control.nlsys(update, None, inputs=1, states=1, params={
+        "place": np.array([-1.0, 1.0]), "force": np.array([-2.0, 3.0]), "mode": "on", "spare": 1.0}))
+    assert list(plant.parameters) == ["spare"] and plant.rhs is not None
+    assert plant.derivative([0.5], [1.0])[0] == pytest.approx(1.0 - 1.75)
+    assert sum("kept as it is" in n for n in plant.notes) == 3
