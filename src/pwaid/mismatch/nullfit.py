@@ -45,7 +45,7 @@ class Problem:
         X0 = self.null_test.X0 if start is None else start
         fitted = fit_starts(fit.model, self.test, self.sigma, fit.theta, X0, self.ranges)
         s = self.structure  # the null may have bent its start states to absorb the effect: try the measured ones
-        measured = first_states(self.plant, (s.output_state, s.partner, s.ratio), self.test)
+        measured = first_states(self.plant, (s.output_state, s.partner, s.ratio, s.state_units), self.test)
         other = fit_starts(fit.model, self.test, self.sigma, fit.theta, measured, self.ranges)
         better = self._by_segment(other) < self._by_segment(fitted)
         if not better.any():
@@ -89,7 +89,7 @@ def free_names(plant: Plant, free: Sequence[str] | None) -> tuple[tuple[str, ...
 
 def first_states(plant: Plant, structure_map, data: Dataset) -> np.ndarray:
     """Start states from the outputs: measured states from the first samples, speeds from their slope."""
-    output_state, partner, ratio = structure_map
+    output_state, partner, ratio, units = structure_map
     nx = plant.sizes[0]
     X0 = np.zeros((len(data.segments), nx))
     for g, (a, b, _, _) in enumerate(data.segments):
@@ -103,11 +103,10 @@ def first_states(plant: Plant, structure_map, data: Dataset) -> np.ndarray:
             j = partner[i]
             if j >= 0 and j not in output_state:
                 X0[g, j] = slope / ratio[i]
-        for i in range(nx):  # an unmeasured position next to measured ones starts with them
-            if partner[i] >= 0 and i not in output_state and any(s >= 0
-                                                                 and partner[s] >= 0 for s in output_state):
-                k = next(k for k, s in enumerate(output_state) if s >= 0 and partner[s] >= 0)
-                X0[g, i] = data.Y[a, k]
+        for i in range(nx):  # an unmeasured position starts with the first measured one of its unit
+            if partner[i] >= 0 and i not in output_state:
+                alike = [k for k, s in enumerate(output_state) if s >= 0 and partner[s] >= 0 and units[s] == units[i]]
+                X0[g, i] = data.Y[a, alike[0]] if alike else 0.0
     return X0
 
 
@@ -192,7 +191,7 @@ def prepare(plant: Plant, train: Dataset, test: Dataset, input_units, output_uni
     rough = _rough_structure(plant, train, input_units, output_units, free)
     settings = replace(settings, partner=rough.partner, ratio=rough.ratio)
     model = Model(settings)
-    mapping = (rough.output_state, rough.partner, rough.ratio)
+    mapping = (rough.output_state, rough.partner, rough.ratio, rough.state_units)
     theta = np.zeros(model.size)
     scale = np.std(train.Y, axis=0) + 1e-12
 
