@@ -9,7 +9,7 @@ torques that depend on products of speeds, without any new parameter.
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -27,7 +27,8 @@ class ShownInertia:
 
     M(s) is the sum over k of ``table[i, j, k]`` times the k-th of 1, cos, sin, cos 2, sin 2 of ``turn * s`` (angles),
     or of the powers 0 to 4 of ``turn * s`` (lengths); s is the state `position`, the speed of coordinate `moving`
-    times `ratio` is its derivative.
+    times `ratio` is its derivative. `changes` holds, per free parameter that shapes M, its position among the
+    parameters, its nominal value, and the table's derivative by its relative change.
     """
 
     speeds: tuple[int, ...]
@@ -37,6 +38,7 @@ class ShownInertia:
     ratio: float
     angular: bool
     table: np.ndarray
+    changes: tuple[tuple[int, float, np.ndarray], ...] = ()
 
     def matrix(self, s: float) -> np.ndarray:
         """M at the position s, (n, n)."""
@@ -65,7 +67,7 @@ def shown_inertia(structure) -> list[ShownInertia]:
             continue
         inertia = _fitted(s, speeds, position, moving, values, np.linalg.inv(inverse))
         if inertia is not None and _holds_elsewhere(s, inertia):
-            found.append(inertia)
+            found.append(replace(inertia, changes=_changes(s, inertia, _along(rest, position, values))))
     return found
 
 
@@ -81,40 +83,40 @@ def _along(x, position, values):
     return points
 
 
-def _columns(s, speeds, points) -> list[list[np.ndarray]]:
+def _columns(s, speeds, points, p) -> list[list[np.ndarray]]:
     """Per coordinate the columns (points, n) that forces on it may be: commands, own damping, own spring.
 
     The commands are the same for every coordinate: which of them drives it is not known.
     """
-    commands = [c for c in (_command(s, speeds, points, j) for j in range(len(s.input_rms))) if np.any(c)]
+    commands = [c for c in (_command(s, speeds, points, p, j) for j in range(len(s.input_rms))) if np.any(c)]
     options = []
     for v in speeds:
-        own = [_slopes(s, speeds, points, i) for i in (v, s.position_of(v)) if i >= 0]
+        own = [_slopes(s, speeds, points, p, i) for i in (v, s.position_of(v)) if i >= 0]
         options.append(commands + [c for c in own if np.any(c)])
     return options
 
 
-def _command(s, speeds, points, j):
+def _command(s, speeds, points, p, j):
     step = np.zeros(len(s.input_rms))
     step[j] = max(s.input_rms[j], 1e-9)
-    return np.array([(s.plant.derivative(x, step) - s.plant.derivative(x, -step))[list(speeds)] / (2 * step[j])
+    return np.array([(s.plant.derivative(x, step, p) - s.plant.derivative(x, -step, p))[list(speeds)] / (2 * step[j])
                      for x in points])
 
 
-def _slopes(s, speeds, points, i):
+def _slopes(s, speeds, points, p, i):
     d = 1e-4 * max(s.reach(i), 1e-9)
     u, step = np.zeros(len(s.input_rms)), np.zeros(points.shape[1])
     step[i] = d
-    return np.array([(s.plant.derivative(x + step, u) - s.plant.derivative(x - step, u))[list(speeds)] / (2 * d)
+    return np.array([(s.plant.derivative(x + step, u, p) - s.plant.derivative(x - step, u, p))[list(speeds)] / (2 * d)
                      for x in points])
 
 
-def _inverse_inertia(s, speeds, points) -> np.ndarray | None:
+def _inverse_inertia(s, speeds, points, p=None) -> np.ndarray | None:
     """Inverse inertia matrices (points, n, n) up to one factor, or None where the equations do not show them.
 
     Something must confirm them: symmetry of a coupled pair, or a second force that enters through the same matrix.
     """
-    options = _columns(s, speeds, points)
+    options = _columns(s, speeds, points, p)
     if not all(options) or np.prod([float(len(o)) for o in options]) > 4096:
         return None
     forces = list(itertools.chain.from_iterable(options))
@@ -180,21 +182,46 @@ def _basis(values, turn: float, angular: bool) -> np.ndarray:
 
 def _fitted(s, speeds, position, moving, values, matrices) -> ShownInertia | None:
     """The table of M over the position; None when M is constant or of no known form."""
-    largest = np.max(np.abs(matrices))
-    if np.max(np.ptp(matrices, axis=0)) < 1e-3 * largest:
+    if np.max(np.ptp(matrices, axis=0)) < 1e-3 * np.max(np.abs(matrices)):
         return None
     symbols = s.state_units[position]
     angular = any(KNOWN.get(symbol) == "angle" for symbol in symbols)
     per_unit = {"deg": np.pi / 180, "rev": 2 * np.pi, "mrad": 1e-3, "urad": 1e-6, "µrad": 1e-6}
     turn = next((per_unit[k] for k in symbols if k in per_unit), 1.0) if angular else 1.0 / s.reach(position)
-    basis = _basis(values, turn, angular)
-    flat = matrices.reshape(len(values), -1) / largest
-    weights = np.linalg.lstsq(basis, flat, rcond=1e-9)[0]
-    if np.max(np.abs(basis @ weights - flat)) > TOLERANCE:
+    table = _table(values, matrices, turn, angular)
+    if table is None:
         return None
-    n = len(speeds)
-    return ShownInertia(speeds, position, moving, turn, float(s.ratio[position]), angular,
-                        weights.T.reshape(n, n, -1))
+    return ShownInertia(speeds, position, moving, turn, float(s.ratio[position]), angular, table)
+
+
+def _table(values, matrices, turn, angular) -> np.ndarray | None:
+    """Weights (n, n, 5) of the basis that give the matrices (points, n, n); None when they do not."""
+    basis, flat = _basis(values, turn, angular), matrices.reshape(len(values), -1)
+    weights = np.linalg.lstsq(basis, flat, rcond=1e-9)[0]
+    if np.max(np.abs(basis @ weights - flat)) > TOLERANCE * np.max(np.abs(flat)):
+        return None
+    return weights.T.reshape(*matrices.shape[1:], -1)
+
+
+def _changes(s, inertia: ShownInertia, points, step: float = 0.02):
+    """Derivatives of the table by the free parameters that shape M and do not only scale it."""
+    names, nominal, found = list(s.plant.parameters), s.plant.vector(), []
+    values, size = points[:, inertia.position], inertia.table.ravel()
+    for k in (names.index(n) for n in s.free if nominal[names.index(n)] != 0.0):
+        sides = []
+        for factor in (1 + step, 1 - step):
+            p = nominal.copy()
+            p[k] *= factor
+            inverse = _inverse_inertia(s, inertia.speeds, points, p)
+            table = None if inverse is None else _table(values, np.linalg.inv(inverse), inertia.turn, inertia.angular)
+            sides += [] if table is None else [table]
+        if len(sides) < 2:
+            continue
+        change = (sides[0] - sides[1]) / (2 * step)
+        shape = change.ravel() - (change.ravel() @ size) / (size @ size) * size
+        if np.linalg.norm(shape) > 1e-4 * np.linalg.norm(size):
+            found.append((k, float(nominal[k]), change))
+    return tuple(found)
 
 
 def _holds_elsewhere(s, inertia: ShownInertia, count: int = 6) -> bool:

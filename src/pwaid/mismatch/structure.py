@@ -255,8 +255,10 @@ class Structure:
             ii = self._force_ii(shown.speeds[shown.moving])
             ii[5], ii[10] = shown.position, int(not shown.angular)
             names = [self.plant.state_names[i] for i in (shown.position, *shown.speeds)]
-            constants = (len(shown.speeds), shown.moving, shown.turn, shown.ratio, *shown.speeds,
+            constants = (len(shown.speeds), shown.moving, shown.turn, shown.ratio, len(shown.changes), *shown.speeds,
                          *shown.table.ravel())
+            for k, nominal, change in shown.changes:
+                constants += (k, nominal, *change.ravel())
             places.append(self._place("state", self.plant.state_names[shown.speeds[shown.moving]], names, ii,
                                       constants=tuple(float(c) for c in constants)))
         return places
