@@ -19,7 +19,6 @@ import numpy as np
 
 from _common import options, result
 from _explained import named_laws, outcome
-from pwaid.hinfstruct import bft
 from pwaid.mismatch import explain_case
 from pwaid.mismatch.case import write_case
 from pwaid.recording import Recording
@@ -30,7 +29,7 @@ NOMINAL = {"payload": 0.45, "k1": 1.08 * 4 * TRUE.ei1 * TRUE.l1, "k2": 0.93 * 4 
            "gain1": 1.05 * TRUE.gain1, "gain2": 0.95 * TRUE.gain2}
 UNITS = {"dtheta1_ref": "rad/s", "dtheta2_ref": "rad/s", "y1": "rad/s", "y2": "rad/s", "theta2": "rad"}
 
-SIMULATOR = '''"""Two-link flexible arm, LPV model frozen in kappa = cos(theta2): M(kappa) ddq = joint torques and springs.
+SIMULATOR = '''"""Two-link flexible arm, LPV model frozen in kappa = cos(theta2): M(kappa) ddq = torques and springs.
 
 q = (theta1, theta2, v1, v2). M0 and M1 are those without payload, P0 and P1 per kilogram of it. SI units.
 """
@@ -84,7 +83,7 @@ def build():
 
 
 def simulator() -> str:
-    """The frozen model's file: inertia matrices without payload and per kilogram of payload, in which they are linear."""
+    """The frozen model's file: inertia without payload and per kilogram of payload, in which it is linear."""
     light, heavy = (vizer2014_flexible_arm_lpv(replace(TRUE, m_tip=m)) for m in (0.0, 1.0))
     numbers = {"M0": light.M0, "M1": light.M1, "P0": heavy.M0 - light.M0, "P1": heavy.M1 - light.M1,
                "C1": light.output}

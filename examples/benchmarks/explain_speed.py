@@ -84,7 +84,8 @@ def study(name: str, samples: int, jobs: int) -> dict:
     figures = {"verdict": report.verdict, "effects": [e["id"] for e in report.effects],
                "seconds": round(time.perf_counter() - wall, 1), "cpu_seconds": round(time.process_time() - cpu, 1),
                "hypotheses": report.content["hypotheses_tried"], "stages": clock.stages()}
-    print(f"{name}: {figures['verdict']} {figures['effects']} in {figures['seconds']} s, CPU {figures['cpu_seconds']} s")
+    spent = f"{figures['seconds']} s, CPU {figures['cpu_seconds']} s"
+    print(f"{name}: {figures['verdict']} {figures['effects']} in {spent}")
     for stage, spent in figures["stages"].items():
         print(f"    {stage:20s} {spent['seconds']:7.2f} s  CPU {spent['cpu_seconds']:7.2f} s")
     return figures
