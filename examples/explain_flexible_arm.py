@@ -110,6 +110,29 @@ def fits(report, test: str) -> dict:
     return {stage: [held[y][stage]["bft"] for y in ("y1", "y2")] for stage in ("nominal", "refitted", "repaired")}
 
 
+def draw(report, folder: Path) -> None:
+    """Speed of joint 1 on the unseen sweep: recorded, refitted frozen model, repaired."""
+    import matplotlib
+
+    matplotlib.use("Agg")
+    import matplotlib.pyplot as plt
+
+    test, dt = report.problem.test, report.problem.train.sample_time
+    time = np.arange(len(test.Y)) * dt
+    figure, axes = plt.subplots(2, 1, figsize=(8, 4.2), sharex=True, layout="constrained")
+    axes[0].plot(time, test.Y[:, 0], "k", lw=2, alpha=0.35, label="recorded")
+    for Y, colour, label in ((report.null.test.Y, "C0", "frozen, parameters refitted"),
+                             (report.best.test.Y, "C3", "with coriolis_torque")):
+        axes[0].plot(time, Y[:, 0], colour, lw=1, label=label)
+        axes[1].plot(time, test.Y[:, 0] - Y[:, 0], colour, lw=1)
+    axes[0].set(ylabel="y1, rad/s", title="unseen sweep of 1 s")
+    axes[0].legend(fontsize=8)
+    axes[1].set(xlabel="time, s", ylabel="error, rad/s")
+    for axis in axes:
+        axis.grid(alpha=0.3)
+    figure.savefig(folder / "explain_flexible_arm.png", dpi=110)
+
+
 def main() -> None:
     args = options(__doc__.splitlines()[0])
     out = args.save or Path(tempfile.mkdtemp(prefix="pwaid_arm_"))
@@ -120,8 +143,9 @@ def main() -> None:
     case = write_case(out / "case", simulator(), train, test, list(NOMINAL))
     report = explain_case(case, out / "explained")
     print(report.summary)
-    laws = named_laws(report)
-    result(**outcome(report, "test.csv", "y1", case), laws=laws, bft_percent=fits(report, "test.csv"))
+    if args.save:
+        draw(report, out)
+    result(**outcome(report, "test.csv", "y1", case), laws=named_laws(report), bft_percent=fits(report, "test.csv"))
 
 
 if __name__ == "__main__":
