@@ -28,7 +28,9 @@ import numpy as np
 from numba import float64 as f8
 from numba import int64 as i8
 from numba import njit, types
+from numba.core import cgutils
 from numba.core.errors import NumbaExperimentalFeatureWarning
+from numba.extending import intrinsic
 
 __all__ = ["EFFECT_TYPE", "OUT_TYPE", "RHS_TYPE", "idle", "simulate_segments"]
 
@@ -42,67 +44,52 @@ EFFECT_SIGNATURE = types.void(i8, f8, f8, _V, _V, _V, _V, _V, i8[::1], _V)
 EFFECT_TYPE = types.FunctionType(EFFECT_SIGNATURE)
 
 
+@intrinsic
+def _borrowed(typingctx, array):
+    """The same array without a reference of its own.
+
+    A compiled function counts references of the arrays it is handed by atomic operations, which for kernels of a
+    few flops cost four times the kernel. The owner must outlive the borrower.
+    """
+    def codegen(context, builder, signature, args):
+        view = context.make_array(signature.return_type)(context, builder, value=args[0])
+        view.meminfo = cgutils.get_null_value(view.meminfo.type)
+        view.parent = cgutils.get_null_value(view.parent.type)
+        return view._getvalue()
+
+    return array(array), codegen
+
+
 @njit(EFFECT_SIGNATURE, cache=True, nogil=True, error_model="numpy")
 def idle(phase, t, h, x, xs, u, p, dx, ii, q):
     """The effect that does nothing; it fills unused places of the engine."""
 
 
 @njit(
-    types.void(RHS_TYPE, EFFECT_TYPE, EFFECT_TYPE, EFFECT_TYPE, i8, i8, f8, f8, _V, _V, _V, _V, i8[:, ::1],
-               f8[:, ::1],
-               _V, _V, _V, f8[:, ::1], i8[::1], types.boolean),
+    types.void(RHS_TYPE, f8, _V, _V, _V, _V, i8[::1], _V, _V, _V, _V),
     cache=True, nogil=True, error_model="numpy",
 )
-def _stage(rhs, e0, e1, e2, ne, nx, t, h, x, u, p, dx, II, Q, xs, us, ps, mobility, proximal, sliding):
-    """One evaluation of the augmented right-hand side into dx."""
-    xs[:] = x
-    us[:] = u
-    ps[:] = p
-    dx[:] = 0.0
-    if ne > 0:
-        e0(1, t, h, x, xs, us, ps, dx, II[0], Q[0])
-    if ne > 1:
-        e1(1, t, h, x, xs, us, ps, dx, II[1], Q[1])
-    if ne > 2:
-        e2(1, t, h, x, xs, us, ps, dx, II[2], Q[2])
-    rhs(t, xs[:nx], us, ps, dx[:nx])
-    if ne > 0:
-        e0(2, t, h, x, xs, us, ps, dx, II[0], Q[0])
-    if ne > 1:
-        e1(2, t, h, x, xs, us, ps, dx, II[1], Q[1])
-    if ne > 2:
-        e2(2, t, h, x, xs, us, ps, dx, II[2], Q[2])
-    if sliding:
-        if proximal[0] > 0:
-            e0(5, t, h, x, mobility[0], us, ps, dx, II[0], Q[0])
-        if proximal[1] > 0:
-            e1(5, t, h, x, mobility[1], us, ps, dx, II[1], Q[1])
-        if proximal[2] > 0:
-            e2(5, t, h, x, mobility[2], us, ps, dx, II[2], Q[2])
-
-
-@njit(
-    types.void(RHS_TYPE, i8, f8, _V, _V, _V, _V, i8[::1], _V, _V, _V, _V),
-    cache=True, nogil=True, error_model="numpy",
-)
-def _mobility(rhs, nx, t, x, u, p, col, ii, base, us, ps, xs):
-    """Acceleration per unit force at the place ii describes, into col."""
-    col[:] = 0.0
+def _mobility(rhs, t, x, u, p, col, ii, head, base, us, xs):
+    """Acceleration per unit force at the place ii describes, into col; head is its first nx numbers, xs the plant's."""
+    for i in range(col.size):
+        col[i] = 0.0
     if ii[1] == 0:
-        us[:] = u
-        xs[:] = x
-        rhs(t, xs[:nx], us, p, base[:nx])
+        for i in range(xs.size):
+            xs[i] = x[i]
+        for j in range(u.size):
+            us[j] = u[j]
+        rhs(t, xs, us, p, base)
         us[ii[2]] += 1.0
-        rhs(t, xs[:nx], us, p, col[:nx])
-        for i in range(nx):
-            col[i] -= base[i]
+        rhs(t, xs, us, p, head)
+        for i in range(xs.size):
+            head[i] -= base[i]
     elif ii[3] >= 0:
         col[ii[2]] = 1.0 / p[ii[3]]
     else:
         col[ii[2]] = 1.0
 
 
-@njit(_V(f8[:, ::1], i8, i8, i8, i8, i8, _V, _V, f8, f8), cache=True, nogil=True, error_model="numpy")
+@njit(types.void(f8[:, ::1], i8, i8, i8, i8, i8, _V, _V, f8, f8), cache=True, nogil=True, error_model="numpy")
 def _input_at(U, first, last, k, s, S, delay, u, Ts, hold):
     """Mean of each delayed input over substep s of sample k; samples before the first repeat it."""
     for j in range(u.size):
@@ -128,171 +115,194 @@ def _input_at(U, first, last, k, s, S, delay, u, Ts, hold):
             else:
                 w = (ib - a) / (b - a)
                 u[j] = w * va + (1.0 - w) * vb
-    return u
 
 
-@njit(
-    types.void(RHS_TYPE, EFFECT_TYPE, EFFECT_TYPE, EFFECT_TYPE, i8, i8, i8, f8, f8, _V, _V, _V, i8[:, ::1],
-               f8[:, ::1],
-               _V, _V, _V, _V, _V, _V, _V, _V, _V, i8, f8, i8[::1], types.boolean, i8[::1], _V, f8[:, ::1],
-               types.boolean),
-    cache=True, nogil=True, error_model="numpy",
-)
-def _substep(rhs, e0, e1, e2, ne, nx, nt, ts, h, x, u, p, II, Q, xs, us, ps, before, w, k1, k2, k3, k4,
-             discrete, Ts,
-             proximal, any_prox, partner, ratio, mobility, sliding):
-    """Advance x by h: memory, one Runge-Kutta step, dry friction inside it (sliding) or after it."""
-    if any_prox:
-        for e in range(ne):
-            if proximal[e] > 0:
-                _mobility(rhs, nx, ts, x, u, p, mobility[e], II[e], k2, us, ps, xs)
-    if ne > 0:
-        e0(0, ts, h, x, xs, u, p, k1, II[0], Q[0])
-    if ne > 1:
-        e1(0, ts, h, x, xs, u, p, k1, II[1], Q[1])
-    if ne > 2:
-        e2(0, ts, h, x, xs, u, p, k1, II[2], Q[2])
-    before[:] = x
-    _stage(rhs, e0, e1, e2, ne, nx, ts, h, x, u, p, k1, II, Q, xs, us, ps, mobility, proximal, sliding)
-    if discrete > 0:
-        for i in range(nx):
-            x[i] = k1[i]
-        for i in range(nx, nt):
-            x[i] += Ts * k1[i]
-    else:
-        for i in range(nt):
-            w[i] = x[i] + 0.5 * h * k1[i]
-        _stage(rhs, e0, e1, e2, ne, nx, ts + 0.5 * h, h, w, u, p, k2, II, Q, xs, us, ps, mobility, proximal,
-               sliding)
-        for i in range(nt):
-            w[i] = x[i] + 0.5 * h * k2[i]
-        _stage(rhs, e0, e1, e2, ne, nx, ts + 0.5 * h, h, w, u, p, k3, II, Q, xs, us, ps, mobility, proximal,
-               sliding)
-        for i in range(nt):
-            w[i] = x[i] + h * k3[i]
-        _stage(rhs, e0, e1, e2, ne, nx, ts + h, h, w, u, p, k4, II, Q, xs, us, ps, mobility, proximal,
-               sliding)
-        for i in range(nt):
-            x[i] += h / 6.0 * (k1[i] + 2.0 * k2[i] + 2.0 * k3[i] + k4[i])
-    if any_prox and not sliding:
-        w[:] = x
-        for e in range(ne):
-            if proximal[e] > 0:
-                k1[:] = mobility[e]
-                if e == 0:
-                    e0(4, ts, h, x, before, u, p, k1, II[e], Q[e])
-                elif e == 1:
-                    e1(4, ts, h, x, before, u, p, k1, II[e], Q[e])
-                else:
-                    e2(4, ts, h, x, before, u, p, k1, II[e], Q[e])
-        if discrete == 0:
-            for i in range(nx):  # the friction force acted during the whole substep
-                j = partner[i]
-                if j >= 0:
-                    x[i] = before[i] if before[j] == 0.0 and x[j] == 0.0 else x[i] + 0.5 * h * ratio[i] * (x[j] - w[j])
-
-
-@njit(
-    i8(RHS_TYPE, OUT_TYPE, EFFECT_TYPE, EFFECT_TYPE, EFFECT_TYPE, i8, i8, f8[:, ::1], i8[:, ::1], f8[:, ::1],
-       _V,
-       f8, i8, f8, i8, _V, i8[:, ::1], f8[:, ::1], i8[::1], i8[::1], _V, f8[:, ::1], f8[:, ::1], f8),
-    cache=True, nogil=True, error_model="numpy",
-)
 def simulate_segments(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, discrete, p, II, Q,
-                      proximal, partner, ratio, X, Y, limit):
+                      proximal, partner, ratio, X, Y, limit) -> int:
     """Simulate every segment from its own start; fill the states X and the outputs Y at the samples.
 
     Returns the number of segments that left the range |x| <= limit or became NaN; from there on
     their outputs are filled with `limit`.
     """
-    nt = X0.shape[1]
-    nu = U.shape[1]
-    ny = Y.shape[1]
-    x = np.zeros(nt)
-    w = np.zeros(nt)
-    xs = np.zeros(nt)
-    before = np.zeros(nt)
-    start = np.zeros(nt)
-    mobility = np.zeros((3, nt))
-    k1 = np.zeros(nt)
-    k2 = np.zeros(nt)
-    k3 = np.zeros(nt)
-    k4 = np.zeros(nt)
-    u = np.zeros(nu)
-    us = np.zeros(nu)
-    ps = np.zeros(p.size)
-    y = np.zeros(ny)
-    h = Ts / S
-    failed = 0
+    work = np.zeros((14, max(X0.shape[1], U.shape[1], Y.shape[1], p.size)))
+    return _loop(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, discrete, p, II, Q, proximal,
+                 partner, ratio, X, Y, limit, work)
+
+
+@njit(
+    i8(RHS_TYPE, OUT_TYPE, EFFECT_TYPE, EFFECT_TYPE, EFFECT_TYPE, i8, i8, f8[:, ::1], i8[:, ::1], f8[:, ::1],
+       _V, f8, i8, f8, i8, _V, i8[:, ::1], f8[:, ::1], i8[::1], i8[::1], _V, f8[:, ::1], f8[:, ::1], f8, f8[:, ::1]),
+    cache=True, nogil=True, error_model="numpy",
+)
+def _loop(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, discrete, p, II, Q,
+          proximal, partner, ratio, X, Y, limit, work):
+    """The loop of `simulate_segments`; work (14, longest) holds what would otherwise be allocated.
+
+    One body on purpose: passing its two dozen arrays to inner functions, or slicing them inside the loops, costs
+    more than the arithmetic.
+    """
+    nt, nu, ny, n_p = X0.shape[1], U.shape[1], Y.shape[1], p.size
+    x, xs, w = _borrowed(work[0, :nt]), _borrowed(work[1, :nt]), _borrowed(work[2, :nt])
+    before, start = _borrowed(work[3, :nt]), _borrowed(work[4, :nt])
+    k, total = _borrowed(work[5, :nt]), _borrowed(work[6, :nt])
+    u, us, ps, y = (_borrowed(work[7, :nu]), _borrowed(work[8, :nu]), _borrowed(work[9, :n_p]),
+                    _borrowed(work[10, :ny]))
+    m0, m1, m2 = _borrowed(work[11, :nt]), _borrowed(work[12, :nt]), _borrowed(work[13, :nt])
+    p = _borrowed(p)
+    i0, i1, i2 = _borrowed(II[0]), _borrowed(II[1]), _borrowed(II[2])
+    q0, q1, q2 = _borrowed(Q[0]), _borrowed(Q[1]), _borrowed(Q[2])
+    h0, h1, h2 = m0[:nx], m1[:nx], m2[:nx]
+    xh, xsh, kh, toth = x[:nx], xs[:nx], k[:nx], total[:nx]
+    h, failed = Ts / S, 0
+    stages = 1 if discrete > 0 else 4
     any_prox = False
     for e in range(ne):
         if proximal[e] > 0:
             any_prox = True
+    p0, p1, p2 = proximal[0] > 0, proximal[1] > 0, proximal[2] > 0
     for g in range(segments.shape[0]):
         first, last = segments[g, 0], segments[g, 1]
         begin, end = segments[g, 2], segments[g, 3]  # the recording's samples: history of delayed inputs
-        x[:] = X0[g]
+        for i in range(nt):
+            x[i] = X0[g, i]
         alive = True
-        for k in range(first, last):
-            t = (k - begin) * Ts
-            _input_at(U, begin, end, k, 0, S, delay, u, Ts, 0.0)
-            X[k] = x
-            # outputs
-            xs[:] = x
-            us[:] = u
-            ps[:] = p
+        for sample in range(first, last):
+            t = (sample - begin) * Ts
+            _input_at(U, begin, end, sample, 0, S, delay, u, Ts, 0.0)
+            for i in range(nt):
+                X[sample, i] = x[i]
+                xs[i] = x[i]
+            for j in range(nu):
+                us[j] = u[j]
+            for j in range(n_p):
+                ps[j] = p[j]
             if ne > 0:
-                e0(1, t, 0.0, x, xs, us, ps, k1, II[0], Q[0])
+                e0(1, t, 0.0, x, xs, us, ps, k, i0, q0)
             if ne > 1:
-                e1(1, t, 0.0, x, xs, us, ps, k1, II[1], Q[1])
+                e1(1, t, 0.0, x, xs, us, ps, k, i1, q1)
             if ne > 2:
-                e2(1, t, 0.0, x, xs, us, ps, k1, II[2], Q[2])
-            out(t, x[:nx], us, ps, y)
+                e2(1, t, 0.0, x, xs, us, ps, k, i2, q2)
+            out(t, xh, us, ps, y)
             if ne > 0:
-                e0(3, t, Ts, x, xs, us, ps, y, II[0], Q[0])
+                e0(3, t, Ts, x, xs, us, ps, y, i0, q0)
             if ne > 1:
-                e1(3, t, Ts, x, xs, us, ps, y, II[1], Q[1])
+                e1(3, t, Ts, x, xs, us, ps, y, i1, q1)
             if ne > 2:
-                e2(3, t, Ts, x, xs, us, ps, y, II[2], Q[2])
-            Y[k] = y
+                e2(3, t, Ts, x, xs, us, ps, y, i2, q2)
+            for i in range(ny):
+                Y[sample, i] = y[i] if alive else limit
             if not alive:
-                Y[k] = limit
                 continue
             for s in range(S):
                 pieces, piece = 1, 0
-                _input_at(U, begin, end, k, s, S, delay, u, Ts, hold)
+                if s > 0 or hold > 0.0:
+                    _input_at(U, begin, end, sample, s, S, delay, u, Ts, hold)
                 while piece < pieces:
                     hh = h / pieces
                     ts = t + s * h + piece * hh
-                    start[:] = x
+                    for i in range(nt):
+                        start[i] = x[i]
                     sliding = any_prox and discrete == 0
                     for e in range(ne):
                         if proximal[e] > 0 and x[II[e, 4]] == 0.0:
                             sliding = False
-                    _substep(rhs, e0, e1, e2, ne, nx, nt, ts, hh, x, u, p, II, Q, xs, us, ps, before, w, k1,
-                             k2, k3, k4,
-                             discrete, Ts, proximal, any_prox, partner, ratio, mobility, sliding)
+                    while True:  # a second time, not sliding, where a piece holds an event
+                        if p0:
+                            _mobility(rhs, ts, x, u, p, m0, i0, h0, toth, us, xsh)
+                        if p1:
+                            _mobility(rhs, ts, x, u, p, m1, i1, h1, toth, us, xsh)
+                        if p2:
+                            _mobility(rhs, ts, x, u, p, m2, i2, h2, toth, us, xsh)
+                        if ne > 0:
+                            e0(0, ts, hh, x, xs, u, p, k, i0, q0)
+                        if ne > 1:
+                            e1(0, ts, hh, x, xs, u, p, k, i1, q1)
+                        if ne > 2:
+                            e2(0, ts, hh, x, xs, u, p, k, i2, q2)
+                        for i in range(nt):
+                            before[i] = x[i]
+                            total[i] = 0.0
+                        for stage in range(stages):
+                            ahead = 0.0 if stage == 0 else (hh if stage == 3 else 0.5 * hh)
+                            weight = 2.0 if stage == 1 or stage == 2 else 1.0
+                            for i in range(nt):
+                                w[i] = x[i] + ahead * k[i] if stage > 0 else x[i]
+                                xs[i] = w[i]
+                                k[i] = 0.0
+                            for j in range(nu):
+                                us[j] = u[j]
+                            for j in range(n_p):
+                                ps[j] = p[j]
+                            if ne > 0:
+                                e0(1, ts + ahead, hh, w, xs, us, ps, k, i0, q0)
+                            if ne > 1:
+                                e1(1, ts + ahead, hh, w, xs, us, ps, k, i1, q1)
+                            if ne > 2:
+                                e2(1, ts + ahead, hh, w, xs, us, ps, k, i2, q2)
+                            rhs(ts + ahead, xsh, us, ps, kh)
+                            if ne > 0:
+                                e0(2, ts + ahead, hh, w, xs, us, ps, k, i0, q0)
+                            if ne > 1:
+                                e1(2, ts + ahead, hh, w, xs, us, ps, k, i1, q1)
+                            if ne > 2:
+                                e2(2, ts + ahead, hh, w, xs, us, ps, k, i2, q2)
+                            if sliding:
+                                if p0:
+                                    e0(5, ts + ahead, hh, w, m0, us, ps, k, i0, q0)
+                                if p1:
+                                    e1(5, ts + ahead, hh, w, m1, us, ps, k, i1, q1)
+                                if p2:
+                                    e2(5, ts + ahead, hh, w, m2, us, ps, k, i2, q2)
+                            for i in range(nt):
+                                total[i] += weight * k[i]
+                        if discrete > 0:
+                            for i in range(nt):
+                                x[i] = k[i] if i < nx else x[i] + Ts * k[i]
+                        else:
+                            for i in range(nt):
+                                x[i] += hh / 6.0 * total[i]
+                        if any_prox and not sliding:
+                            for i in range(nt):
+                                w[i] = x[i]
+                            for e in range(ne):
+                                if proximal[e] == 0:
+                                    continue
+                                for i in range(nt):
+                                    k[i] = work[11 + e, i]
+                                if e == 0:
+                                    e0(4, ts, hh, x, before, u, p, k, i0, q0)
+                                elif e == 1:
+                                    e1(4, ts, hh, x, before, u, p, k, i1, q1)
+                                else:
+                                    e2(4, ts, hh, x, before, u, p, k, i2, q2)
+                            if discrete == 0:
+                                for i in range(nx):  # the friction force acted during the whole substep
+                                    j = partner[i]
+                                    if j >= 0:
+                                        at_rest = before[j] == 0.0 and x[j] == 0.0
+                                        x[i] = before[i] if at_rest else x[i] + 0.5 * hh * ratio[i] * (x[j] - w[j])
+                        event = False
+                        if any_prox and discrete == 0:
+                            for e in range(ne):  # a reversal, a stop or a release inside this piece
+                                if proximal[e] > 0:
+                                    v0, v1 = start[II[e, 4]], x[II[e, 4]]
+                                    event |= v0 * v1 <= 0.0 and (v0 != 0.0 or v1 != 0.0)
+                        if not (event and pieces > 1 and sliding):
+                            break
+                        for i in range(nt):
+                            x[i] = start[i]
+                        sliding = False
                     piece += 1
-                    if not any_prox or discrete > 0:
-                        continue
-                    event = False
-                    for e in range(ne):  # a reversal, a stop or a release inside this piece
-                        if proximal[e] > 0:
-                            v0, v1 = start[II[e, 4]], x[II[e, 4]]
-                            event |= v0 * v1 <= 0.0 and (v0 != 0.0 or v1 != 0.0)
                     if event and pieces == 1:
-                        x[:] = start
+                        for i in range(nt):
+                            x[i] = start[i]
                         pieces, piece = 8, 0
-                    elif event and sliding:
-                        x[:] = start
-                        _substep(rhs, e0, e1, e2, ne, nx, nt, ts, hh, x, u, p, II, Q, xs, us, ps, before, w,
-                                 k1, k2, k3,
-                                 k4, discrete, Ts, proximal, any_prox, partner, ratio, mobility, False)
                 for i in range(nt):
                     if not (abs(x[i]) <= limit):
                         alive = False
                 if not alive:
                     failed += 1
-                    x[:] = 0.0
+                    for i in range(nt):
+                        x[i] = 0.0
                     break
     return failed
