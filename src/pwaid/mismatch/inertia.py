@@ -27,8 +27,8 @@ class ShownInertia:
 
     M(s) is the sum over k of ``table[i, j, k]`` times the k-th of 1, cos, sin, cos 2, sin 2 of ``turn * s`` (angles),
     or of the powers 0 to 4 of ``turn * s`` (lengths); s is the state `position`, the speed of coordinate `moving`
-    times `ratio` is its derivative. `changes` holds, per free parameter that shapes M, its position among the
-    parameters, its nominal value, and the table's derivative by its relative change.
+    times `ratio` is its derivative. `changes` holds, for the up to three free parameters that shape M most, the
+    position among the parameters, the nominal value, and the table's derivative by the relative change.
     """
 
     speeds: tuple[int, ...]
@@ -220,8 +220,8 @@ def _changes(s, inertia: ShownInertia, points, step: float = 0.02):
         change = (sides[0] - sides[1]) / (2 * step)
         shape = change.ravel() - (change.ravel() @ size) / (size @ size) * size
         if np.linalg.norm(shape) > 1e-4 * np.linalg.norm(size):
-            found.append((k, float(nominal[k]), change))
-    return tuple(found)
+            found.append((float(np.linalg.norm(shape)), (k, float(nominal[k]), change)))
+    return tuple(entry for _, entry in sorted(found, key=lambda f: -f[0])[:3])
 
 
 def _holds_elsewhere(s, inertia: ShownInertia, count: int = 6) -> bool:

@@ -254,11 +254,11 @@ class Structure:
         for shown in shown_inertia(self):
             ii = self._force_ii(shown.speeds[shown.moving])
             ii[5], ii[10] = shown.position, int(not shown.angular)
+            ii[6:9] = [k for k, _, _ in shown.changes] + [-1] * (3 - len(shown.changes))
+            nominal = [value for _, value, _ in shown.changes] + [1.0] * (3 - len(shown.changes))
             names = [self.plant.state_names[i] for i in (shown.position, *shown.speeds)]
-            constants = (len(shown.speeds), shown.moving, shown.turn, shown.ratio, len(shown.changes), *shown.speeds,
-                         *shown.table.ravel())
-            for k, nominal, change in shown.changes:
-                constants += (k, nominal, *change.ravel())
+            constants = (len(shown.speeds), shown.moving, shown.turn, shown.ratio, *nominal, *shown.speeds,
+                         *shown.table.ravel(), *(w for _, _, change in shown.changes for w in change.ravel()))
             places.append(self._place("state", self.plant.state_names[shown.speeds[shown.moving]], names, ii,
                                       constants=tuple(float(c) for c in constants)))
         return places

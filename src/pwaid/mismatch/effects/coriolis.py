@@ -14,37 +14,37 @@ __all__ = ["EFFECTS"]
 def of_shown_inertia(phase, t, h, x, xs, u, p, dx, ii, q):
     """Accelerations -coefficient * M^-1 (dM/dt v - grad(v' M v) / 2), M(s) from a table; ii[5] is s.
 
-    q: coefficient, number n of coordinates, the coordinate that moves s, turn, ds/dt per its speed, number of
-    parameters that shape M, the n states that are speeds, five weights for every entry of M; then for each such
-    parameter its position in p, its nominal value, and the weights' derivative by its relative change. ii[10]: 0
-    weights of 1, cos, sin, cos 2, sin 2 of turn * s, 1 of its powers.
+    q: coefficient, number n of coordinates, the coordinate that moves s, turn, ds/dt per its speed, nominal values of
+    the up to three parameters ii[6], ii[7], ii[8] that shape M, the n states that are speeds; then five weights for
+    every entry of M, and their derivatives by the relative change of each such parameter. ii[10]: 0 weights of 1,
+    cos, sin, cos 2, sin 2 of turn * s, 1 of its powers.
     """
     if phase == 2:
-        n, moving, turn, ratio, shaping = int(q[1]), int(q[2]), q[3], q[4], int(q[5])
-        z = turn * x[ii[5]]
+        n, moving = int(q[1]), int(q[2])
+        z = q[3] * x[ii[5]]
         b1, b2, b3, b4 = cos(z), sin(z), cos(2.0 * z), sin(2.0 * z)
         g1, g2, g3, g4 = -b2, b1, -2.0 * b4, 2.0 * b3
         if ii[10] == 1:
             b1, b2, b3, b4 = z, z * z, z * z * z, z * z * z * z
             g1, g2, g3, g4 = 1.0, 2.0 * z, 3.0 * z * z, 4.0 * z * z * z
-        slope, size, start = turn * ratio, 5 * n * n, 6 + n
-        rate, energy = x[int(q[6 + moving])], 0.0
-        A, w = np.empty((n, n + 1)), np.empty(5)
+        W = q[8 + n:8 + n + 5 * n * n].copy()
+        if ii[6] >= 0:
+            W += (p[ii[6]] / q[5] - 1.0) * q[8 + n + 5 * n * n:8 + n + 10 * n * n]
+        if ii[7] >= 0:
+            W += (p[ii[7]] / q[6] - 1.0) * q[8 + n + 10 * n * n:8 + n + 15 * n * n]
+        if ii[8] >= 0:
+            W += (p[ii[8]] / q[7] - 1.0) * q[8 + n + 15 * n * n:8 + n + 20 * n * n]
+        rate = x[int(q[8 + moving])] * q[3] * q[4]
+        energy = 0.0
+        A = np.empty((n, n + 1))
         for i in range(n):
             momentum = 0.0
             for j in range(n):
-                k = start + 5 * (i * n + j)
-                for m in range(5):
-                    w[m] = q[k + m]
-                for c in range(shaping):
-                    o = start + size + c * (size + 2)
-                    change = p[int(q[o])] / q[o + 1] - 1.0
-                    for m in range(5):
-                        w[m] += change * q[o + 2 + 5 * (i * n + j) + m]
-                A[i, j] = w[0] + w[1] * b1 + w[2] * b2 + w[3] * b3 + w[4] * b4
-                momentum += slope * (w[1] * g1 + w[2] * g2 + w[3] * g3 + w[4] * g4) * x[int(q[6 + j])]
+                k = 5 * (i * n + j)
+                A[i, j] = W[k] + W[k + 1] * b1 + W[k + 2] * b2 + W[k + 3] * b3 + W[k + 4] * b4
+                momentum += (W[k + 1] * g1 + W[k + 2] * g2 + W[k + 3] * g3 + W[k + 4] * g4) * x[int(q[8 + j])]
             A[i, n] = momentum * rate
-            energy += 0.5 * momentum * x[int(q[6 + i])]
+            energy += 0.5 * q[3] * q[4] * momentum * x[int(q[8 + i])]
         A[moving, n] -= energy
         for i in range(n):  # elimination: M is positive definite
             for r in range(i + 1, n):
@@ -55,7 +55,7 @@ def of_shown_inertia(phase, t, h, x, xs, u, p, dx, ii, q):
             for j in range(i + 1, n):
                 A[i, n] -= A[i, j] * A[j, n]
             A[i, n] /= A[i, i]
-            dx[int(q[6 + i])] -= q[0] * A[i, n]
+            dx[int(q[8 + i])] -= q[0] * A[i, n]
 
 
 def product_of_speeds(phase, t, h, x, xs, u, p, dx, ii, q):
