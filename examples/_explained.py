@@ -1,4 +1,4 @@
-"""What the explain scripts on the papers' systems share: named dry friction as a curve, and the result keys."""
+"""What the explain scripts on the papers' systems share: named friction as a curve, and the result keys."""
 
 from __future__ import annotations
 
@@ -13,23 +13,33 @@ def named_laws(report) -> list[tuple]:
             for e, v in zip(h.located, h.values(), strict=True)]
 
 
-def dry_friction(report, channel: str):
-    """The named dry friction at a channel as a function of speed; zero where none was named."""
-    laws = [(name, q) for name, where, q in named_laws(report) if where == channel]
+def friction(report, channel: str, dry: bool = True):
+    """The named laws at the speed of a channel as a force against the motion, over speed; zero where none was named.
 
-    def level(v):
-        v = np.asarray(v, dtype=float)
-        total = np.zeros_like(v)
-        for name, q in laws:
-            if name in ("coulomb_friction", "presliding_friction", "load_dependent_friction"):
-                total += q["level"] * np.sign(v)
-            elif name == "asymmetric_coulomb_friction":
-                total += np.where(v > 0, q["level_positive"], -q["level_negative"])
-            elif name == "stribeck_friction":
-                total += (q["level"] + q["excess"] * np.exp(-((v / q["stribeck_speed"]) ** 2))) * np.sign(v)
+    With ``dry`` only dry friction counts; otherwise every law there (drag, one-sided viscous friction, offsets).
+    """
+    h, plant = report.best, report.problem.plant
+    p = h.fit.model.parameters(h.fit.theta)
+    laws = [(e, np.concatenate([values, e.place.constants])) for e, values in zip(h.located, h.values(), strict=True)
+            if e.place.channel == channel and (e.effect.family == "dry_friction" or not dry)]
+
+    def force(v: float) -> float:
+        total, (nx, nu, _) = 0.0, plant.sizes
+        for e, q in laws:
+            ii, x, u, dx, column = np.array(e.place.ii), np.zeros(nx), np.zeros(nu), np.zeros(nx), np.zeros(nx)
+            x[ii[4]], column[ii[4]] = v, 1.0
+            if e.effect.memory:
+                total += q[0] * np.sign(v)  # the level that sliding reaches
+            elif e.effect.proximal:
+                e.effect.compiled()(5, 0.0, 0.0, x, column, u, p, dx, ii, q)
+                total -= dx[ii[4]]
+            else:
+                for phase in (1, 2):
+                    e.effect.compiled()(phase, 0.0, 0.0, x, x, u, p, dx, ii, q)
+                total -= np.sum(u) + dx[ii[2]] / report.problem.structure.mobility[ii[4]]
         return total
 
-    return level
+    return np.vectorize(force, otypes=[float])
 
 
 def outcome(report, test: str, output: str, case) -> dict:

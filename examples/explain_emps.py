@@ -10,7 +10,6 @@ Set PWAID_DATA to the folder that holds `emps/`.
 from __future__ import annotations
 
 import argparse
-import json
 import os
 import tempfile
 from pathlib import Path
@@ -19,6 +18,8 @@ import numpy as np
 from scipy.io import loadmat
 from scipy.signal import butter, filtfilt
 
+from _common import result
+from _explained import friction, named_laws, outcome
 from pwaid.errors import InputError
 from pwaid.mismatch import explain_case
 from pwaid.mismatch.case import write_case
@@ -60,53 +61,32 @@ def recording(path: Path, factor: int, name: str) -> Recording:
                      ("force",), ("q", "v"), units, name=name)
 
 
-def force_error(report, path: Path, stage: str, friction=None) -> float:
-    """Relative error of the inverse model's force on a record, filtered as its authors do (percent).
-
-    `stage` picks the parameters: "nominal", "without_effect" (the refitted null) or "refitted" (with the effect).
-    """
+def inverse_signals(path: Path):
+    """Speed and acceleration of the filtered position, and the force, of a record, every ms."""
     raw = loadmat(path)
     t, q, force = raw["t"].ravel(), raw["qm"].ravel(), float(raw["gtau"].squeeze()) * raw["vir"].ravel()
     b, a = butter(4, 60.0, fs=1000.0)
-    q = filtfilt(b, a, q)
-    v = np.gradient(q, t)
-    acc = np.gradient(v, t)
-    p = {k: value[stage] for k, value in report.content["parameters"].items()}
-    model = p["m"] * acc + p["b"] * v + p["offset"] + (friction(v) if friction else 0.0)
+    v = np.gradient(filtfilt(b, a, q), t)
+    return v, np.gradient(v, t), force
+
+
+def force_error(path: Path, m: float, b: float, offset: float, friction=None) -> float:
+    """Relative error of the inverse model's force on a record, filtered as its authors do (percent)."""
+    v, acc, force = inverse_signals(path)
+    model = m * acc + b * v + offset + (friction(v) if friction else 0.0)
     d, c = butter(4, 20.0, fs=1000.0)
     wanted, got = filtfilt(d, c, force), filtfilt(d, c, model)
     inner = slice(500, -500)
     return 100 * float(np.linalg.norm((wanted - got)[inner]) / np.linalg.norm(wanted[inner]))
 
 
-def named_force(report):
-    """The friction the report named, as a function of speed; None when nothing was named."""
-    if report.verdict not in ("named", "one_of"):
-        return None
-    h = report.best
-    laws = {e.effect.id: dict(zip([q.name for q in e.effect.quantities], v, strict=True))
-            for e, v in zip(h.located, h.values(), strict=True)}
-
-    def force(v):
-        total = np.zeros_like(v)
-        for name, q in laws.items():
-            if name == "coulomb_friction":
-                total += q["level"] * np.sign(v)
-            elif name == "asymmetric_coulomb_friction":
-                total += np.where(v > 0, q["level_positive"], -q["level_negative"])
-            elif name == "stribeck_friction":
-                total += (q["level"] + q["excess"] * np.exp(-(v / q["stribeck_speed"]) ** 2)) * np.sign(v)
-            elif name == "presliding_friction":
-                total += q["level"] * np.sign(v)
-            elif name == "asymmetric_viscous_friction":
-                total += np.where(v > 0, q["coefficient_positive"], q["coefficient_negative"]) * v
-            elif name == "quadratic_drag":
-                total += q["coefficient"] * v * np.abs(v)
-            elif name == "constant_load":
-                total -= q["level"]
-        return total
-
-    return force
+def fitted_to_force(path: Path) -> dict[str, float]:
+    """m, b, offset by least squares on the filtered force itself: the linear inverse model's best case."""
+    v, acc, force = inverse_signals(path)
+    d, c = butter(4, 20.0, fs=1000.0)
+    columns = np.column_stack([filtfilt(d, c, z) for z in (acc, v)] + [np.ones(v.size)])[500:-500]
+    values = np.linalg.lstsq(columns, filtfilt(d, c, force)[500:-500], rcond=None)[0]
+    return dict(zip(("m", "b", "offset"), map(float, values), strict=True))
 
 
 def main() -> None:
@@ -127,17 +107,17 @@ def main() -> None:
                       extra="closed_loop = true\ntolerances = { offset = 1.0 }")
     report = explain_case(case, out / "explained", jobs=args.jobs)
     print(report.summary)
-    path = data / "DATA_EMPS_PULSES.mat"
-    speed = report.fit["test.csv"]["v"]
-    result = {
-        "verdict": report.verdict, "effects": [e["id"] for e in report.effects],
-        "error_nominal": force_error(report, path, "nominal"),  # percent of the force, test record
-        "error_refitted": force_error(report, path, "without_effect"),
-        "error_repaired": force_error(report, path, "refitted", named_force(report)),
-        "speed_rmse_m_s": {stage: speed[stage]["rmse"] for stage in ("nominal", "refitted", "repaired")},
-        "seconds": report.content["seconds"], "case": str(case),
-    }
-    print("RESULT " + json.dumps(result))
+    pulses, speed = data / "DATA_EMPS_PULSES.mat", report.fit["test.csv"]["v"]
+
+    def error(stage: str, friction=None) -> float:
+        return force_error(pulses, *(report.content["parameters"][k][stage] for k in ("m", "b", "offset")), friction)
+
+    result(**outcome(report, "test.csv", "v", case) | {  # errors in percent of the force on the test record
+        "error_nominal": error("nominal"), "error_refitted": error("without_effect"),
+        "error_repaired": error("refitted", friction(report, "state:v", dry=False)),
+        "error_fitted_to_force": force_error(pulses, **fitted_to_force(data / "DATA_EMPS.mat")),
+        "laws": named_laws(report),
+        "speed_rmse_m_s": {stage: speed[stage]["rmse"] for stage in ("nominal", "refitted", "repaired")}})
 
 
 if __name__ == "__main__":

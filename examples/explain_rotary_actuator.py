@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from _common import options, result
-from _explained import dry_friction, named_laws, outcome
+from _explained import friction, named_laws, outcome
 from pwaid.mismatch import explain_case
 from pwaid.mismatch.case import write_case
 from pwaid.recording import Recording
@@ -85,7 +85,7 @@ def study(name: str, simulator: str, record, samples: int, free, output: str, tr
                       extra='repeats = [["train_0.csv", "train_1.csv"]]')
     report = explain_case(case, out / name / "explained")
     print(report.summary)
-    found = dry_friction(report, "state:omega")
+    found = friction(report, "state:omega")
     fast = np.linspace(0.3, 1.0, 60) * reach
     error = np.abs(found(fast) - truth(fast)).mean() / truth(fast).mean()
     figures = outcome(report, "test.csv", output, case)

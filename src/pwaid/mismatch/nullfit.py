@@ -55,7 +55,7 @@ class Problem:
         several starts: the null's, which may be bent to absorb the effect; the measured ones; and, for states that
         the null does not see, a scan of the range they visit."""
         s = self.structure
-        measured = first_states(self.plant, (s.output_state, s.partner, s.ratio), self.test)
+        measured = first_states(self.plant, s.start_map, self.test)
         best = self._starts_from(fit, self.null_test.X0)
         for X0 in (measured, *self._scans(fit, best.X0)):
             other = self._starts_from(fit, X0)
@@ -68,7 +68,7 @@ class Problem:
         """The same problem judged on whole recordings, for hypotheses that keep them where the null does not."""
         train, test = self.whole
         s, model, theta = self.structure, self.null.model, self.null_coarse.theta
-        mapping = s.output_state, s.partner, s.ratio
+        mapping = s.start_map
 
         def fitted(data, values, fit=fit_starts, **more):
             return fit(model, data, self.sigma, values, _starts(model, values, data, mapping), self.ranges, 20, **more)
@@ -135,7 +135,7 @@ def free_names(plant: Plant, free: Sequence[str] | None) -> tuple[tuple[str, ...
 
 def first_states(plant: Plant, structure_map, data: Dataset) -> np.ndarray:
     """Start states from the outputs: measured states from the first samples, speeds from their slope."""
-    output_state, partner, ratio = structure_map
+    output_state, partner, ratio, units = structure_map
     nx = plant.sizes[0]
     X0 = np.zeros((len(data.segments), nx))
     for g, (a, b, _, _) in enumerate(data.segments):
@@ -149,11 +149,10 @@ def first_states(plant: Plant, structure_map, data: Dataset) -> np.ndarray:
             j = partner[i]
             if j >= 0 and j not in output_state:
                 X0[g, j] = slope / ratio[i]
-        for i in range(nx):  # an unmeasured position next to measured ones starts with them
-            if partner[i] >= 0 and i not in output_state and any(s >= 0
-                                                                 and partner[s] >= 0 for s in output_state):
-                k = next(k for k, s in enumerate(output_state) if s >= 0 and partner[s] >= 0)
-                X0[g, i] = data.Y[a, k]
+        for i in range(nx):  # an unmeasured position starts with the first measured one of its unit
+            if partner[i] >= 0 and i not in output_state:
+                alike = [k for k, s in enumerate(output_state) if s >= 0 and partner[s] >= 0 and units[s] == units[i]]
+                X0[g, i] = data.Y[a, alike[0]] if alike else 0.0
     return X0
 
 
@@ -243,7 +242,7 @@ def prepare(plant: Plant, train: Dataset, test: Dataset, input_units, output_uni
     rough = _rough_structure(plant, train, input_units, output_units, free)
     settings = replace(settings, partner=rough.partner, ratio=rough.ratio)
     model = Model(settings)
-    mapping = (rough.output_state, rough.partner, rough.ratio)
+    mapping = rough.start_map
     theta = np.zeros(model.size)
     scale = np.std(train.Y, axis=0) + 1e-12
 

@@ -185,7 +185,8 @@ UPDATE = '''
         if nominal_output is None:
             outputs = state[:«NX»].copy()
         else:
-            outputs = np.array(nominal_output(t, state[:«NX»], inputs, {**(others or {}), **params}), dtype=float).ravel()
+            params = {**(others or {}), **params}
+            outputs = np.array(nominal_output(t, state[:«NX»], inputs, params), dtype=float).ravel()
 «SENSORS»
         return outputs
 

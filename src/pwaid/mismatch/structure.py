@@ -6,11 +6,13 @@ into places: every speed, every position, every command, every sensor, every sto
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from pwaid.mismatch.effects.base import Place
+from pwaid.mismatch.inertia import shown_inertia
 from pwaid.mismatch.plant import Plant
 from pwaid.mismatch.units import parse_unit
 
@@ -46,6 +48,11 @@ class Structure:
     hook_scale: tuple[float, ...] = ()
 
     # ------------------------------------------------------------------ helpers
+    @property
+    def start_map(self) -> tuple:
+        """What `first_states` needs: states of the outputs, speeds of the positions, their ratios, units."""
+        return self.output_state, self.partner, self.ratio, self.state_units
+
     def position_of(self, v: int) -> int:
         found = [i for i in range(len(self.partner)) if self.partner[i] == v]
         return found[0] if found else -1
@@ -226,26 +233,41 @@ class Structure:
         return places
 
     def velocity_products(self) -> list[Place]:
-        """Products of speeds, times 1, sin or cos of a position: only with a second axis or a varying inertia."""
+        """Products of speeds, times 1, sin or cos of an angle: only with a second axis."""
         places = []
         vs = self.velocities()
-        angular = [self.position_of(v) for v in vs if self.position_of(v) >= 0]
         if len(vs) < 2:
             return places
+        angular = {place.ii[5]: place.constants[0] for place in self.angles()}
+        trigs = [(0, -1, 1.0)] + [(k, x, factor) for x, factor in angular.items() for k in (1, 2)]
         for v in vs:
-            for a in range(len(vs)):
-                for b in range(a, len(vs)):
-                    if vs[a] == v and vs[b] == v:
-                        continue
-                    for variant, x in [(0, -1)] + [(k, x) for x in angular for k in (1, 2)]:
-                        ii = self._force_ii(v)
-                        ii[4], ii[6], ii[9], ii[10] = vs[a], vs[b], x, variant
-                        names = [self.plant.state_names[vs[a]], self.plant.state_names[vs[b]]]
-                        if x >= 0:
-                            names.append(f"{('', 'sin', 'cos')[variant]}({self.plant.state_names[x]})")
-                        speed = float(np.sqrt(self.reach(vs[a]) * self.reach(vs[b])))
-                        places.append(self._place("state", self.plant.state_names[v], names, ii, v=v,
-                                                  scales={"speed": speed}))
+            for a, b in itertools.combinations_with_replacement(vs, 2):
+                if a == v and b == v:
+                    continue
+                for variant, x, factor in trigs:
+                    ii = self._force_ii(v)
+                    ii[4], ii[6], ii[9], ii[10] = a, b, x, variant
+                    names = [self.plant.state_names[a], self.plant.state_names[b]]
+                    if x >= 0:
+                        names.append(f"{('', 'sin', 'cos')[variant]}({self.plant.state_names[x]})")
+                    speed = float(np.sqrt(self.reach(a) * self.reach(b)))
+                    places.append(self._place("state", self.plant.state_names[v], names, ii, v=v,
+                                              scales={"speed": speed}, constants=(factor,)))
+        return places
+
+    def varying_inertias(self) -> list[Place]:
+        """Every position on which alone the inertia that the simulator shows depends; the matrix as constants."""
+        places = []
+        for shown in shown_inertia(self):
+            ii = self._force_ii(shown.speeds[shown.moving])
+            ii[5], ii[10] = shown.position, int(not shown.angular)
+            ii[6:9] = [k for k, _, _ in shown.changes] + [-1] * (3 - len(shown.changes))
+            nominal = [value for _, value, _ in shown.changes] + [1.0] * (3 - len(shown.changes))
+            names = [self.plant.state_names[i] for i in (shown.position, *shown.speeds)]
+            constants = (len(shown.speeds), shown.moving, shown.turn, shown.ratio, *nominal, *shown.speeds,
+                         *shown.table.ravel(), *(w for _, _, change in shown.changes for w in change.ravel()))
+            places.append(self._place("state", self.plant.state_names[shown.speeds[shown.moving]], names, ii,
+                                      constants=tuple(float(c) for c in constants)))
         return places
 
     def inputs(self, delays: bool = False) -> list[Place]:

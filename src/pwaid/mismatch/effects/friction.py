@@ -30,6 +30,12 @@ def stribeck(phase, t, h, x, xs, u, p, dx, ii, q):
         slide(phase, q[0] + q[1] * exp(-r * r), ii, h, x, xs, dx)
 
 
+def stribeck_of_first_order(phase, t, h, x, xs, u, p, dx, ii, q):
+    """F = (level + excess * exp(-|v|/stribeck_speed)) * sign(v): steepest at rest, as in Bo and Pavelescu (1982)."""
+    if phase >= 4:
+        slide(phase, q[0] + q[1] * exp(-abs(xs[ii[4]] if phase == 4 else x[ii[4]]) / q[2]), ii, h, x, xs, dx)
+
+
 def presliding(phase, t, h, x, xs, u, p, dx, ii, q):
     """Dahl: F = stiffness * z, dz/dt = v - stiffness*|v|*z/level, exact for the substep's first speed."""
     e = ii[0]
@@ -65,14 +71,15 @@ EFFECTS = (
            ("constant_load", "asymmetric_viscous_friction"),
            "the same trajectory in both directions", proximal=True, dissipative=True,
            contains=("coulomb_friction",)),
-    Effect("stribeck_friction", "dry_friction",
-           "F = (level + excess * exp(-(v/stribeck_speed)^2)) * sign(v)",
-           (Quantity("level", "force", 1e-4, 5.0, (0.04, 0.25)),
-            Quantity("excess", "force", 1e-3, 3.0, (0.1, 0.4)),
-            Quantity("stribeck_speed", "speed", 0.003, 0.6, (0.03, 0.15))), stribeck, lambda s: s.moving(),
-           ("coulomb_friction", "presliding_friction"),
-           "many slow crossings, sampled with at least 20 points below the Stribeck speed", proximal=True,
-           dissipative=True, contains=("coulomb_friction",)),
+    *(Effect("stribeck_friction", "dry_friction", law,
+             (Quantity("level", "force", 1e-4, 5.0, (0.04, 0.25)),
+              Quantity("excess", "force", 1e-3, 3.0, (0.1, 0.4)),
+              Quantity("stribeck_speed", "speed", 0.003, 0.6, (0.03, 0.15))), kernel, lambda s: s.moving(),
+             ("coulomb_friction", "presliding_friction"),
+             "many slow crossings, sampled with at least 20 points below the Stribeck speed", proximal=True,
+             dissipative=True, contains=("coulomb_friction",))
+      for kernel, law in ((stribeck, "F = (level + excess * exp(-(v/stribeck_speed)^2)) * sign(v)"),
+                          (stribeck_of_first_order, "F = (level + excess * exp(-|v|/stribeck_speed)) * sign(v)"))),
     Effect("presliding_friction", "dry_friction", "F = stiffness*z, dz/dt = v - stiffness*|v|*z/level",
            (Quantity("level", "force", 1e-3, 5.0, (0.04, 0.2)),
             Quantity("stiffness", "force/position", 0.1, 3e3, (3.0, 30.0))), presliding,

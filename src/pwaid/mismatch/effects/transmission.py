@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from math import cos, sin
-
-from pwaid.mismatch.effects.base import Effect, Quantity, push
+from pwaid.mismatch.effects.base import Effect, Quantity
 
 __all__ = ["EFFECTS"]
 
@@ -80,16 +78,6 @@ def inertia(phase, t, h, x, xs, u, p, dx, ii, q):
         dx[ii[4]] /= 1.0 + q[0] * g
 
 
-def coriolis(phase, t, h, x, xs, u, p, dx, ii, q):
-    """F = coefficient * v_a * v_b * (1, sin or cos of a position)."""
-    f = q[0] * x[ii[4]] * x[ii[6]]
-    if ii[10] == 1:
-        f *= sin(x[ii[9]])
-    elif ii[10] == 2:
-        f *= cos(x[ii[9]])
-    push(phase, -f, ii, u, p, dx)
-
-
 EFFECTS = (
     Effect("backlash", "transmission", "shaft torque = k * (twist beyond +-half_gap)",
            (Quantity("half_gap", "position", 1e-4, 0.9, (0.01, 0.05, 0.2)),), gap_in_shaft,
@@ -113,7 +101,4 @@ EFFECTS = (
            (Quantity("inertia", "inertia", -0.8, 10.0, (0.1, 0.4, 1.0), log=False),), inertia,
            lambda s: s.inertias(), ("linear_stiffness", "actuator_gain_asymmetry"),
            "change the load by a known amount"),
-    Effect("coriolis_torque", "inertial", "F = coefficient * v_a * v_b * trig(position)",
-           (Quantity("coefficient", "force/speed^2", -20.0, 20.0, (0.1, 0.5), log=False),), coriolis,
-           lambda s: s.velocity_products(), ("quadratic_drag",), "move one axis at a time, then both"),
 )
