@@ -98,7 +98,7 @@ def test_report_says_what_can_be_told_apart_and_what_to_record(friction):
     plan = c["experiment"]
     assert plan["between"][0] == "coulomb_friction at state:v"
     assert plan["input"] in c["next_experiment"]
-    assert plan["between"][1] == "parameters only"  # the other candidate fits worse than no law at all
+    assert "coulomb" not in plan["between"][1]  # a rival of another law
     assert plan["predicted_difference"] > plan["present_difference"] > 0
     stages = c["fit"]["r3.csv"]["x"]
     assert stages["repaired"]["share_explained"] == pytest.approx(c["share_explained"], abs=0.01)

@@ -21,7 +21,7 @@ from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.predictability import predictability
 from pwaid.mismatch.vetoes import at_bound, outside, veto
 
-__all__ = ["Decision", "Thresholds", "at_floor", "decide", "errors_by_recording"]
+__all__ = ["Decision", "Thresholds", "at_floor", "decide", "errors_by_recording", "white_bic"]
 
 
 @dataclass(frozen=True)
@@ -110,6 +110,13 @@ def criterion(problem: Problem, h: Hypothesis) -> float:
     r = problem.train.Y - h.fit.Y
     n = effective_samples(r / problem.sigma)
     return n * np.log(max(h.train_error, 1e-300)) + h.fit.model.size * np.log(n)
+
+
+def white_bic(problem: Problem, h: Hypothesis) -> float:
+    """BIC on the training recordings as if residuals were white: the baseline of docs/proof.md, used nowhere here."""
+    mean = np.mean((problem.train.Y - h.fit.Y) ** 2, axis=0)
+    n = len(problem.train.Y)
+    return float(n * np.sum(np.log(np.maximum(mean, 1e-300))) + h.fit.model.size * np.log(n * len(mean)))
 
 
 def decide(problem: Problem, null: Hypothesis, singles: Sequence[Hypothesis], pairs: Sequence[Hypothesis],

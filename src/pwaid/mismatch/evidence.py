@@ -14,6 +14,7 @@ from pwaid.mismatch.decide import Thresholds, at_floor
 from pwaid.mismatch.effects.base import Effect
 from pwaid.mismatch.hypotheses import (
     Hypothesis,
+    fit_contained,
     fit_inner,
     fit_members,
     fit_pairs,
@@ -60,7 +61,7 @@ def gather(problem: Problem, catalogue: Sequence[Effect], notes: Sequence[str] =
     if at_floor(problem, Thresholds()):
         chosen = chosen[:3]  # nothing to explain: the best few are fitted so that the report can show them
     say(0.3, f"fitting {len(chosen)} candidates")
-    singles = fit_shortlist(problem, chosen, jobs)
+    singles = fit_contained(problem, fit_shortlist(problem, chosen, jobs), located, jobs)
     if problem.whole is not None and singles and _keeps_whole(problem, singles[0]):
         problem = problem.uncut()
         null = null_hypothesis(problem)

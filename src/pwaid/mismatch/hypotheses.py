@@ -14,8 +14,8 @@ from pwaid.mismatch.model import Located, Model
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.screen import Screened, run_jobs, screen
 
-__all__ = ["Hypothesis", "fit_inner", "fit_members", "fit_pairs", "fit_shortlist", "floor_square", "hypothesis_of",
-           "mean_square", "null_hypothesis", "on_whole", "share"]
+__all__ = ["Hypothesis", "fit_contained", "fit_inner", "fit_members", "fit_pairs", "fit_shortlist", "floor_square",
+           "hypothesis_of", "mean_square", "null_hypothesis", "on_whole", "share"]
 
 
 @dataclass(frozen=True)
@@ -264,6 +264,28 @@ def fit_members(problem: Problem, pairs: Sequence[Hypothesis], singles: Sequence
 def _inner(outer: Located, located: Sequence[Located]) -> list[Located]:
     """The laws that a law contains, at the same place."""
     return [c for c in located if c.effect.id in outer.effect.contains and c.place.signal == outer.place.signal]
+
+
+def fit_contained(problem: Problem, singles: Sequence[Hypothesis], located: Sequence[Located], jobs: int = 1,
+                  count: int = 2) -> list[Hypothesis]:
+    """The singles, with the laws that the best ones contain fitted again from the nominal parameters found there.
+
+    A simpler law can stall where the null bent those parameters; the larger law has straightened them.
+    """
+    known = {h.located[0].key: h for h in singles}
+    for outer in singles[:count]:
+        inner = _inner(outer.located[0], located)
+        if not inner:
+            continue
+        model, theta = problem.null_coarse.model, outer.coarse.theta[:outer.coarse.model.np]
+        Y, X = model.simulate(theta, outer.coarse.X0, problem.coarse)
+        base = Fit(model, theta, outer.coarse.X0, np.inf, Y, X, 0)
+        candidates = [s for s in screen(problem, base, inner, jobs) if s.score > 0]
+        for h in fit_shortlist(problem, candidates, jobs, base=base) if candidates else ():
+            rival = known.get(h.located[0].key)
+            if rival is None or h.train_error < rival.train_error:
+                known[h.located[0].key] = h
+    return sorted(known.values(), key=lambda h: h.train_error)
 
 
 def fit_inner(problem: Problem, pairs: Sequence[Hypothesis], singles: Sequence[Hypothesis],

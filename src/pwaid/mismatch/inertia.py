@@ -63,7 +63,7 @@ def shown_inertia(structure) -> list[ShownInertia]:
         values = np.linspace(s.low[position], s.high[position], SAMPLES)
         rest = _at_rest(s, 0.5 * (s.low + s.high))
         inverse = _inverse_inertia(s, speeds, _along(rest, position, values))
-        if inverse is None:
+        if inverse is None or not np.all(np.linalg.cond(inverse) < 1e10):
             continue
         inertia = _fitted(s, speeds, position, moving, values, np.linalg.inv(inverse))
         if inertia is not None and _holds_elsewhere(s, inertia):

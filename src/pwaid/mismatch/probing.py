@@ -14,11 +14,12 @@ import numpy as np
 from pwaid.errors import InputError
 from pwaid.mismatch.plant import Plant
 from pwaid.mismatch.structure import Structure
-from pwaid.mismatch.units import parse_unit, unit_kind
+from pwaid.mismatch.units import combine, parse_unit, unit_kind
 
 __all__ = ["find_structure"]
 
 _SPEEDS = ("speed", "angular_speed")
+_NO_MOTION = ("current", "voltage", "charge", "temperature", "force", "torque", "pressure", "flow", "acceleration")
 _NAMES = {
     "fluid": ("h", "level", "hl", "hu", "p", "pressure", "head", "vol", "volume"),
     "thermal": ("temp", "temperature", "tw", "tb", "t1", "t2", "t"),
@@ -55,6 +56,7 @@ def find_structure(plant: Plant, states, inputs, outputs, input_units, output_un
     for k, i in enumerate(output_state):
         if i >= 0 and abs(gains[k] - 1) < 1e-6:
             units[i] = out_units[k]
+    _drop_impossible(units, partner, ratio)
     _spread_units(units, partner)
     for i in range(nx):
         kinds[i] = _kind_of(i, plant, partner, units, output_state, output_units)
@@ -174,6 +176,15 @@ def _output_map(plant, points, low, high):
                                                atol=1e-12 * np.max(np.abs(G[:, k]))):
                 found[k], gains[k] = i, c
     return tuple(found), gains
+
+
+def _drop_impossible(units, partner, ratio):
+    """A speed or a current is no position, and a current or a position no speed, whatever the derivatives look like."""
+    for i, j in enumerate(partner):
+        if j >= 0:
+            position, speed = (unit_kind(combine({}, (units[k], 1))) for k in (i, j))
+            if position in (*_SPEEDS, *_NO_MOTION) or speed in ("length", "angle", *_NO_MOTION):
+                partner[i], ratio[i] = -1, 0.0
 
 
 def _spread_units(units, partner):

@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pwaid.mismatch.decide import Decision, Thresholds
+from pwaid.mismatch.decide import Decision, Thresholds, white_bic
 from pwaid.mismatch.experiment import Experiment, next_experiment, plan_experiment, rivals
 from pwaid.mismatch.hypotheses import Hypothesis, share
 from pwaid.mismatch.intervals import parameter_intervals
@@ -150,9 +150,17 @@ def _candidates(problem, hypotheses, decision: Decision, output_names):
         rows.append({"id": " + ".join(h.ids), "family": " + ".join(h.families), "where": h.label,
                      "heldout_rmse": dict(zip(output_names, map(float, rmse), strict=True)),
                      "share_explained": h.share, "screen_score": h.score, "parameters": h.fit.model.size,
-                     "passed": id(h) in ok,
+                     "passed": id(h) in ok, "bic": white_bic(problem, h), "values": _values(h),
                      "wider": any(h is not m and inside(m, h) for m in decision.members)})
     return sorted(rows, key=lambda r: -r["share_explained"])
+
+
+def _values(h: Hypothesis) -> dict[str, float]:
+    """Fitted parameters by name, `id.name` where there are several effects."""
+    several = len(h.located) > 1
+    return {f"{e.effect.id}.{q.name}" if several else q.name: float(v)
+            for e, part in zip(h.located, h.values(), strict=True)
+            for q, v in zip(e.effect.quantities, part, strict=True)}
 
 
 def _units(problem: Problem) -> dict:
@@ -207,6 +215,7 @@ def build_report(problem: Problem, null, singles, pairs, screened, decision: Dec
         "fit": fit_table(problem.test, names, stages, problem.floor.level),
         "fit_train": fit_table(problem.train, names, {"nominal": problem.nominal.Y, "refitted": null.fit.Y,
                                                       "repaired": best.fit.Y}, problem.floor.level),
+        "bic_null": white_bic(problem, null),
         "share_needed": limits.share if problem.floor.trusted else limits.share_tentative,
         "share_explained": best.share if decision.members else 0.0,
         "noise_floor": dict(zip(names, map(float, problem.floor.level), strict=True)),

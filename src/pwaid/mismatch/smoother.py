@@ -261,12 +261,12 @@ def _rise(run, q, A, B, line, feed, d) -> float:
 
 
 def linearise(problem: Problem, samples: int = SAMPLES) -> Linearised | None:
-    """The plant along the null trajectory of the training recordings, averaged down to about `samples` instants.
+    """The plant along the null trajectory on segments of the training recordings, averaged to about `samples` instants.
 
     None where the null simulation ran away, for a black box, and without states. Intervals stay below a tenth of the
     plant's time scale; what is then still too long is shortened to the head of every segment.
     """
-    plant, data, fit = problem.plant, problem.train, problem.null
+    plant, data, fit = problem.plant, problem.coarse, problem.null_coarse
     nx = plant.sizes[0]
     if plant.black_box is not None or not nx:
         return None

@@ -107,7 +107,7 @@ class Structure:
                     continue
                 ii[8] = self._main_input(v)
                 names.append(self.plant.input_names[ii[8]])
-                more = {"scales": {"load": 1.0}}
+                more = {"j": ii[8]}
             places.append(self._place("state", self.plant.state_names[v], names, ii, v=v, x=x, **more))
         return places
 
