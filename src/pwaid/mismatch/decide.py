@@ -33,7 +33,7 @@ class Thresholds:
     small: float = 0.15  # of an output's standard deviation: a residual below it may be a mere disturbance ...
     predicted: float = 0.15  # ... when past inputs predict less than this share of it
     share: float = 0.5  # of the explainable held-out error, with a trusted floor
-    share_tentative: float = 0.4  # without one
+    share_tentative: float = 0.45  # without one
     second_share: float = 0.35  # of what the single effect left
     nested_gain: float = 0.1  # error the larger of two nested laws must remove beyond the smaller
     nested_share: float = 0.002  # ... and its share of the null's error
@@ -41,8 +41,9 @@ class Thresholds:
     wins: float = 0.8  # share of block bootstraps the winner must win
     left: float = 2.0  # held-out mean square after an effect, relative to the floor's, that needs no excuse ...
     left_predicted: float = 0.3  # ... beyond it, no more of it than this may follow from the inputs,
-    trace: float = 0.01  # (unless that is less than this share of what there was to explain)
-    reach: float = 1.6  # ... nor may a nominal parameter have moved by more than this many tolerances,
+    trace: float = 0.05  # (unless that is less than this share of what there was to explain)
+    quiet: float = 100.0  # (unless noise is so small beside what is left that no simulator would do,)
+    reach: float = 2.9  # ... nor may a nominal parameter have moved by more than this many tolerances,
     evidence: float = 50.0  # ... and the held-out log-likelihood, residuals made white, must have risen by this much
     moved: float = 0.02  # a parameter that moved by this share of its value counts as wrong
 
@@ -187,7 +188,8 @@ def inadequate(problem: Problem, h: Hypothesis, t: Thresholds) -> str:
 
     At the floor nothing speaks against it. Above the floor the rest may be a disturbance; then the inputs do not
     predict it, no parameter had to leave its tolerance or its bounds to stand in for other physics, and the gain
-    is seen by likelihoods that count a slow wave once.
+    is seen by likelihoods that count a slow wave once. Where noise is a hundredth of what is left, every simulator
+    leaves something that the inputs predict: there this says that more is missing, not that the name is wrong.
     """
     floor = np.maximum(problem.floor.level, t.trifle * np.std(problem.train.Y, axis=0)) ** 2
     left = np.mean((problem.test.Y - h.test.Y) ** 2, axis=0) / floor
@@ -199,7 +201,7 @@ def inadequate(problem: Problem, h: Hypothesis, t: Thresholds) -> str:
         return f"{outside(h, t.reach)[0]} had to leave its tolerance and the error is not at the floor"
     before = np.mean((problem.test.Y - problem.null_test.Y) ** 2, axis=0) / floor
     rest = predictability(problem.train, h.fit, problem.test, h.test, problem.structure.time_scale)
-    if np.any((left >= t.left) & (rest > t.left_predicted) & (rest * left > t.trace * before)):
+    if np.any((left >= t.left) & (left < t.quiet) & (rest > t.left_predicted) & (rest * left > t.trace * before)):
         return f"the inputs still predict {100 * float(np.max(rest)):.0f} % of what it leaves"
     gain = likelihood_gain(problem, h)
     if gain < t.evidence:

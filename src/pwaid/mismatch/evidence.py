@@ -29,7 +29,7 @@ from pwaid.mismatch.screen import Screened, locate_effects, run_jobs, screen, sh
 
 __all__ = ["Evidence", "gather"]
 
-KEPT = 0.2  # of an output's standard deviation
+KEPT = 2.0  # times the noise floor
 
 
 @dataclass(frozen=True)
@@ -79,11 +79,15 @@ def gather(problem: Problem, catalogue: Sequence[Effect], notes: Sequence[str] =
 
 
 def _keeps_whole(problem, best: Hypothesis) -> bool:
-    """Whether the best hypothesis follows the uncut training recordings to KEPT of every output's spread."""
+    """Whether the best hypothesis stays within KEPT times the floor on the uncut training recordings.
+
+    Then they tell laws apart that segments with their free start states do not. Short of the floor, an error of the
+    force piles up over a whole recording until it says nothing about the law.
+    """
     train, _ = problem.whole
     fit = on_whole(replace(problem, train=train), best.coarse)
     error = np.sqrt(np.mean(fit.residual(train) ** 2, axis=0))
-    return bool(np.all(error < KEPT * np.std(train.Y, axis=0)))
+    return bool(np.all(error < KEPT * problem.floor.level))
 
 
 def _worth_pairs(problem, null, singles) -> bool:

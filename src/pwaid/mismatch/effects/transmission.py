@@ -94,7 +94,7 @@ EFFECTS = (
     Effect("compliance", "transmission", "the load hangs on a spring of the given natural frequency",
            (Quantity("load_share", "1", 0.02, 0.95, (0.3,)),
             Quantity("frequency", "rate", 0.3, 30.0, (1.0, 2.5, 6.0)),
-            Quantity("damping_ratio", "1", 1e-3, 1.5, (0.05,))), hidden_mode, lambda s: s.single_masses(),
+            Quantity("damping_ratio", "1", 1e-3, 1.0, (0.05,))), hidden_mode, lambda s: s.single_masses(),
            ("input_delay", "actuator_lag", "sensor_lag"), "broadband excitation above the mode",
            extra_states=2),
     Effect("missing_inertia", "inertial", "F = inertia * dv/dt",
