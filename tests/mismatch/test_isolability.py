@@ -39,7 +39,7 @@ def fitted(problem):
         model = Model(problem.settings, (e,))
         theta = np.concatenate([np.zeros(3), e.internal([q.probes[0] for q in e.effect.quantities])])
         fit = fit_model(model, problem.train, problem.sigma, theta, problem.null.X0, problem.ranges, 15)
-        found[e.effect.id] = hypothesis_of(problem, fit, 0.0)
+        found.setdefault(e.effect.id, hypothesis_of(problem, fit, 0.0))  # the first of several laws of an id
     return found
 
 
