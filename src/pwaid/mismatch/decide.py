@@ -191,22 +191,32 @@ def inadequate(problem: Problem, h: Hypothesis, t: Thresholds) -> str:
     is seen by likelihoods that count a slow wave once. Where noise is a hundredth of what is left, every simulator
     leaves something that the inputs predict: there this says that more is missing, not that the name is wrong.
     """
-    floor = np.maximum(problem.floor.level, t.trifle * np.std(problem.train.Y, axis=0)) ** 2
-    left = np.mean((problem.test.Y - h.test.Y) ** 2, axis=0) / floor
+    left = _over_floor(problem, h.test.Y, t)
     if np.all(left < t.left):
         return ""
     if at_bound(h):
         return f"{at_bound(h)[0]} went to its bound and the error is not at the floor"
     if outside(h, t.reach):
         return f"{outside(h, t.reach)[0]} had to leave its tolerance and the error is not at the floor"
-    before = np.mean((problem.test.Y - problem.null_test.Y) ** 2, axis=0) / floor
-    rest = predictability(problem.train, h.fit, problem.test, h.test, problem.structure.time_scale)
-    if np.any((left >= t.left) & (left < t.quiet) & (rest > t.left_predicted) & (rest * left > t.trace * before)):
+    rest = _predicted_rest(problem, h, left, t)
+    if np.any((left < t.quiet) & (rest * left > t.trace * _over_floor(problem, problem.null_test.Y, t))):
         return f"the inputs still predict {100 * float(np.max(rest)):.0f} % of what it leaves"
     gain = likelihood_gain(problem, h)
     if gain < t.evidence:
         return f"the held-out log-likelihood rose by {gain:.0f} only, once residuals are made white"
     return ""
+
+
+def _over_floor(problem: Problem, Y, t: Thresholds) -> np.ndarray:
+    """Held-out mean square of each output relative to the floor's, or to a trifle of the output."""
+    floor = np.maximum(problem.floor.level, t.trifle * np.std(problem.train.Y, axis=0))
+    return np.mean((problem.test.Y - Y) ** 2, axis=0) / floor**2
+
+
+def _predicted_rest(problem: Problem, h: Hypothesis, left, t: Thresholds) -> np.ndarray:
+    """Share of each output's rest that follows from the inputs; 0 where it is small or the error at the floor."""
+    rest = predictability(problem.train, h.fit, problem.test, h.test, problem.structure.time_scale)
+    return np.where((left >= t.left) & (rest > t.left_predicted), rest, 0.0)
 
 
 def likelihood_gain(problem: Problem, h: Hypothesis) -> float:
@@ -305,6 +315,10 @@ def _prefer_smaller(problem, best, passed, t):
 def _name(problem, best, passed, t, rng, reasons) -> Decision:
     """One name, or the set of those the recordings cannot tell from it."""
     members = [best]
+    rest = _predicted_rest(problem, best, _over_floor(problem, best.test.Y, t), t)
+    if rest.any():
+        reasons.append(f"the inputs still predict {100 * float(np.max(rest)):.0f} % of what {best.label} leaves: "
+                       "something more is missing")
     for h in sorted(passed, key=_score):
         if h is best or sorted(h.ids) == sorted(best.ids) or len(members) >= 3:
             continue
