@@ -2,9 +2,10 @@
 
     python examples/benchmarks/explain_batch.py CASES -o RESULTS [--processes 2]
 
-Same answers as `pwaid explain` on each folder, without its page and pictures and without starting Python for every
-case. Leave-one-effect-out cases get the ids of CASES/runs.json left out. It sees case folders only, never a key.
-Cases are taken in the order of their names, which are hashes, so that a part of the run is a fair sample.
+Same answers as `pwaid explain` on each folder, without its page, pictures, isolability matrix and next experiment, and
+without starting Python for every case. Leave-one-effect-out cases get the ids of CASES/runs.json left out. It sees case
+folders only, never a key. Cases are taken in the order of their names, which are hashes, so that a part of the run is
+a fair sample.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ def run(case: Path, out: Path, without) -> tuple[str, str]:
     started = time.perf_counter()
     out.mkdir(parents=True, exist_ok=True)
     try:
-        report = conclude(collect_case(load_case(case), without=without), started=started)
+        report = conclude(collect_case(load_case(case), without=without), started=started, brief=True)
     except Exception as error:
         (out / "failure.txt").write_text(traceback.format_exc(), encoding="utf-8")
         return case.name, f"failed: {type(error).__name__}: {error}"

@@ -133,8 +133,11 @@ def collect(simulator, train, test=None, free_parameters=None, *, units=None, to
 
 
 def conclude(evidence: Evidence, thresholds: Thresholds | None = None, started: float | None = None,
-             progress: Callable | None = None, jobs: int = 1) -> Report:
-    """Decide, locate and report on hypotheses that are already fitted; `started` is the clock at the beginning."""
+             progress: Callable | None = None, jobs: int = 1, brief: bool = False) -> Report:
+    """Decide, locate and report on hypotheses that are already fitted.
+
+    `started` is the clock at the beginning; brief leaves out the comparison of hypotheses and the next experiment.
+    """
     say = progress or (lambda fraction, text: None)
     problem = evidence.problem
     say(0.85, "deciding")
@@ -151,7 +154,7 @@ def conclude(evidence: Evidence, thresholds: Thresholds | None = None, started: 
         notes += more
     seconds = 0.0 if started is None else clock.perf_counter() - started
     report = build_report(problem, evidence.null, evidence.singles, evidence.pairs, evidence.screened, decision,
-                          location, notes, evidence.tried, seconds, fallback, jobs, thresholds, closed)
+                          location, notes, evidence.tried, seconds, fallback, jobs, thresholds, closed, brief)
     say(1.0, "done")
     return report
 

@@ -182,8 +182,11 @@ def _alternatives(decision: Decision) -> list[list[int]]:
 def build_report(problem: Problem, null, singles, pairs, screened, decision: Decision, location: Location,
                  notes,
                  tried: int, seconds: float, fallback: Hypothesis | None = None, jobs: int = 1,
-                 thresholds: Thresholds | None = None, closed_loop: dict | None = None) -> Report:
-    """Gather everything into the content of report.json."""
+                 thresholds: Thresholds | None = None, closed_loop: dict | None = None, brief: bool = False) -> Report:
+    """Gather everything into the content of report.json.
+
+    brief : leave out the comparison of hypotheses and the plan of the next experiment.
+    """
     names = problem.plant.output_names
     used = fallback if fallback is not None and fallback.share > 0 else None
     effects = []
@@ -201,8 +204,8 @@ def build_report(problem: Problem, null, singles, pairs, screened, decision: Dec
                             "high": ends[1], "without_effect": nominal * np.exp(null.fit.theta[k])}
     limits = thresholds or Thresholds()
     units, others = _units(problem), [*singles, *pairs]
-    told = isolability(problem, leading(null, decision.members, others), jobs)
-    pair = rivals(problem, null, decision, others, screened)
+    told = isolability(problem, [null] if brief else leading(null, decision.members, others), jobs)
+    pair = None if brief else rivals(problem, null, decision, others, screened)
     plan = plan_experiment(problem, pair, list(units["inputs"].values()), told) if pair else None
     stages = {"nominal": problem.nominal_test.Y, "refitted": null.test.Y, "repaired": best.test.Y}
     content = {
