@@ -18,6 +18,7 @@ from pwaid.mismatch.model import Model
 
 __all__ = ["Fit", "Jacobian", "fit_model", "fit_starts", "jacobian"]
 
+WIDTHS = (1.0, 10.0, 2.0)  # factors on the difference steps, one after the other where one stalls among kinks
 CLIP = 1e3  # weighted residuals beyond this count as this: a runaway simulation is bad, not infinite
 
 
@@ -50,10 +51,14 @@ def _weighted(Y, data, sigma):
     return np.clip((data.Y - Y) / sigma, -CLIP, CLIP).ravel()
 
 
+def _rough(model: Model) -> bool:
+    """Whether events put kinks into the cost."""
+    return any(e.effect.proximal or e.effect.id in ("end_stop", "backlash", "overflow") for e in model.located)
+
+
 def _steps(model: Model, theta):
     """Difference steps: wide enough to average over the kinks that events make."""
-    rough = any(e.effect.proximal or e.effect.id in ("end_stop", "backlash",
-                                                     "overflow") for e in model.located)
+    rough = _rough(model)
     steps = np.full(model.size, 2e-3 if rough else 2e-4)
     k = model.np
     for e in model.located:
@@ -64,11 +69,11 @@ def _steps(model: Model, theta):
 
 
 def jacobian(model: Model, theta, X0, data: Dataset, sigma, Y, ranges, want_states: bool = True,
-             bounds=None) -> Jacobian:
-    """Forward differences around (theta, X0); `ranges` (nx,) are the states' magnitudes."""
+             bounds=None, wide: float = 1.0) -> Jacobian:
+    """Forward differences around (theta, X0); `ranges` (nx,) are the states' magnitudes, `wide` scales the steps."""
     n, nx = data.Y.size, X0.shape[1]
     G, S, asked = np.empty((n, model.size)), np.zeros((n, nx)), []
-    steps = _steps(model, theta)
+    steps = wide * _steps(model, theta)
     for k, step in enumerate(steps):
         moved = theta.copy()
         if bounds is not None and theta[k] + step > bounds[1][k]:
@@ -145,12 +150,13 @@ def fit_model(model: Model, data: Dataset, sigma, theta, X0, ranges, iterations:
     r = _weighted(Y, data, sigma)
     cost = r @ r + np.sum((prior * theta) ** 2)
     mu, done = 1e-3, 0
+    widths = list(WIDTHS) if _rough(model) and iterations >= 10 and not hold_globals else [1.0]
     while done < iterations:
         done += 1
         if hold_globals:
             J = jacobian(_Frozen(model, theta), theta[:0], X0, data, sigma, Y, ranges)
         else:
-            J = jacobian(model, theta, X0, data, sigma, Y, ranges, bounds=(low, high))
+            J = jacobian(model, theta, X0, data, sigma, Y, ranges, bounds=(low, high), wide=widths[0])
         improved = False
         for _ in range(7):
             step = _step(J, r, rows, prior[:0] if hold_globals else prior,
@@ -169,12 +175,19 @@ def fit_model(model: Model, data: Dataset, sigma, theta, X0, ranges, iterations:
                 break
             mu = max(mu, 1e-6) * 8
         if not improved:
-            break
+            widths.pop(0)
+            if not widths:
+                break
+            mu = 1e-3
+            continue
         gain = (cost - cn) / max(cost, 1e-300)
         theta, X0, Y, X, r, cost = new, X0n, Yn, Xn, rn, cn
         mu = max(mu / 8, 1e-9)
         if gain < tol:
-            break
+            widths.pop(0)
+            if not widths:
+                break
+            mu = 1e-3
     return Fit(model, theta, X0, float(cost), Y, X, done)
 
 
