@@ -28,15 +28,18 @@ _ADDRESSES = np.array(
         get_cython_function_address("scipy.linalg.cython_blas", "dsyrk"),
         get_cython_function_address("scipy.linalg.cython_blas", "dtrsv"),
         get_cython_function_address("scipy.linalg.cython_blas", "dgemv"),
+        get_cython_function_address("scipy.linalg.cython_blas", "dgemm"),
     ],
     dtype=np.int64,
 )
-_POTRF, _TRSM, _SYRK, _TRSV, _GEMV = range(5)
+_POTRF, _TRSM, _SYRK, _TRSV, _GEMV, _GEMM = range(6)
 # The letters that BLAS takes, and numbers; both are passed by address.
 _LETTERS = np.frombuffer(b"LNTR", dtype=np.uint8).copy()
 _L, _N, _T, _R = range(4)
 _NUMBERS = np.array([1.0, -1.0, 0.0])
 _ONE, _MINUS, _ZERO = 0, 8, 16
+# Columns of a front factorised at a time: triangular solves are slow, so little is left to them.
+_BLOCK = 32
 
 
 @intrinsic
@@ -74,11 +77,9 @@ class NormalMatrix:
         filled = sparse.csc_matrix((np.ones(H.data.size), H.indices, H.indptr), H.shape)
         pattern = sparse.csr_matrix(ones.T @ ones + filled + sparse.eye_array(n))
         self.tree = tree = dissect(pattern.indptr, pattern.indices, coordinates)
-        upper = sparse.coo_matrix(sparse.triu(H))
-        self._h_places = tree.entries(upper.coords[0], upper.coords[1])
-        self._h_values = upper.data.astype(float)
-        self._f_starts, self._f_places, self._f_values = _products(F, tree)
-        self._diagonal = tree.entries(np.arange(n), np.arange(n))
+        self._entries = _gather(H, F, tree)
+        self._entry_starts = np.searchsorted(self._entries[0], tree.panel_starts)
+        self._diagonal, self._nothing = tree.entries(tree.order, tree.order), np.zeros(n)
         self._panels = np.zeros(tree.n_stored)
         starts, peak = tree.stack_starts
         self._stack_starts, self._stack = starts, np.empty(max(1, peak))
@@ -99,16 +100,15 @@ class NormalMatrix:
         """
         self.n_factorisations += 1
         tree = self.tree
-        values = self._h_values if diagonal is None else self._h_values[:0]
-        _fill(self._panels, self._h_places, values, self._f_starts, self._f_places, self._f_values, weights)
-        if diagonal is not None:
-            self._panels[self._diagonal] += diagonal
-        if shift > 0.0:
-            self._panels[self._diagonal] *= 1.0 + shift
-        integers = np.empty(4, np.int32)
+        if diagonal is None:
+            h_factor, diagonal = 1.0, self._nothing
+        else:
+            h_factor, diagonal = 0.0, diagonal[tree.order]
+        integers = np.empty(6, np.int32)
         return _factorise(
-            self._panels, tree.panel_starts, tree.starts, tree.parents, tree.row_starts, tree.places,
-            self._stack, self._stack_starts, integers, _ADDRESSES, _LETTERS, _NUMBERS,
+            self._panels, tree.panel_starts, tree.starts, tree.parents, tree.row_starts, tree.places, tree.run_ends,
+            tree.n_inner, self._stack, self._stack_starts, self._entry_starts, self._entries, weights, h_factor,
+            diagonal, self._diagonal, shift, integers, _ADDRESSES, _LETTERS, _NUMBERS,
         )  # fmt: skip
 
     def solve(self, b: np.ndarray) -> np.ndarray:
@@ -125,13 +125,21 @@ class NormalMatrix:
         return out
 
 
-def _products(F: sparse.csr_matrix, tree: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """For each row of F the pairwise products of its entries and where they go."""
+def _gather(H: sparse.csc_matrix, F: sparse.csr_matrix, tree: Any) -> tuple[np.ndarray, ...]:
+    """For each entry of K: its place, H's value, and the products of entries of F that sum to it, with their rows."""
     counts = np.diff(F.indptr)
     starts = np.concatenate([[0], np.cumsum(counts * (counts + 1) // 2)])
     i, j, values = np.empty(starts[-1], np.int64), np.empty(starts[-1], np.int64), np.empty(starts[-1])
     _pairs(F.indptr, F.indices, F.data, starts, i, j, values)
-    return starts, tree.entries(i, j), values
+    upper = sparse.coo_matrix(sparse.triu(H))
+    of_h, of_f = tree.entries(upper.coords[0], upper.coords[1]), tree.entries(i, j)
+    places = np.unique(np.concatenate([of_h, of_f]))
+    h_values = np.zeros(places.size)
+    h_values[np.searchsorted(places, of_h)] = upper.data
+    row = np.repeat(np.arange(F.shape[0], dtype=np.int32), np.diff(starts))
+    order = np.argsort(of_f, kind="stable")
+    begins = np.searchsorted(of_f[order], np.append(places, tree.n_stored))
+    return places, h_values, begins, row[order], values[order]
 
 
 @numba.njit(cache=True)
@@ -145,77 +153,109 @@ def _pairs(indptr, indices, data, starts, i, j, values):
 
 
 @numba.njit(cache=True)
-def _fill(panels, h_places, h_values, f_starts, f_places, f_values, weights):
-    panels[:] = 0.0
-    for e in range(h_values.size):
-        panels[h_places[e]] += h_values[e]
-    for r in range(weights.size):
-        w = weights[r]
-        for e in range(f_starts[r], f_starts[r + 1]):
-            panels[f_places[e]] += w * f_values[e]
+def _fill(panel, low, high, places, first, h_values, begins, rows, values, weights, h_factor):
+    """Sum the entries low … high − 1 of K into their front's panel, which begins at place `first`."""
+    panel[:] = 0.0
+    for e in range(low, high):
+        total = h_factor * h_values[e]
+        for t in range(begins[e], begins[e + 1]):
+            total += weights[rows[t]] * values[t]
+        panel[places[e] - first] = total
 
 
 @numba.njit(cache=True)
-def _extend_add(panel, k, size, update, m, child, places, mc):
-    """Add a child's update matrix to its parent's panel (first k columns); the rest to the parent's update matrix."""
-    for j in range(mc):
-        column = places[j]
-        base = j * mc
-        if column < k:
-            to = column * size
-            for i in range(j, mc):
-                panel[to + places[i]] += child[base + i]
-        else:
-            to = (column - k) * m - k
-            for i in range(j, mc):
-                update[to + places[i]] += child[base + i]
+def _extend_add(target, stride, shift, child, places, run_ends, low, high):
+    """Add columns low … high − 1 of a child's update matrix to its parent's columns or update matrix."""
+    mc = places.size
+    for j in range(low, high):
+        column = (places[j] - shift) * stride - shift
+        i = j
+        while i < mc:
+            length = run_ends[i] - i
+            into = target[column + places[i] : column + places[i] + length]
+            added = child[j * mc + i : j * mc + i + length]
+            for t in range(length):
+                into[t] += added[t]
+            i += length
+
+
+@numba.njit(cache=True)
+def _eliminate(at, k, size, ints, chars, reals, integers, routines):
+    """Factorise a front's k columns in place, a block of columns at a time; whether it worked.
+
+    A block is brought up to date by one product with all columns before it, its diagonal part factorised, and the
+    rows below solved with that. `integers` holds: columns, rows, stride, info, columns before, rows below.
+    """
+    integers[2] = size
+    for j in range(0, k, _BLOCK):
+        width = min(_BLOCK, k - j)
+        corner = at + 8 * (j * size + j)
+        integers[0], integers[1], integers[3] = width, size - j, 0
+        integers[4], integers[5] = j, size - j - width
+        if j > 0:
+            left = at + 8 * j
+            _call(
+                routines[5],
+                (
+                    chars + 1, chars + 2, ints + 4, ints, ints + 16, reals + 8, left, ints + 8, left, ints + 8, reals,
+                    corner, ints + 8,
+                ),
+            )  # fmt: skip
+        _call(routines[0], (chars, ints, corner, ints + 8, ints + 12))
+        if integers[3] != 0:
+            return False
+        if integers[5] > 0:
+            _call(
+                routines[1],
+                (
+                    chars + 3, chars, chars + 2, chars + 1, ints + 20, ints, reals, corner, ints + 8,
+                    corner + 8 * width, ints + 8,
+                ),
+            )  # fmt: skip
+    return True
 
 
 @numba.njit(cache=True)
 def _factorise(
-    panels, panel_starts, starts, parents, row_starts, places, stack, stack_starts, integers, routines, letters, numbers
-):
+    panels, panel_starts, starts, parents, row_starts, places, run_ends, n_inner, stack, stack_starts, entry_starts,
+    entries, weights, h_factor, diagonal, diagonal_places, shift, integers, routines, letters, numbers,
+):  # fmt: skip
+    entry_places, h_values, begins, rows, values = entries
     n_fronts = parents.size
     child, sibling = np.full(n_fronts, -1), np.full(n_fronts, -1)
     ints, chars, reals = integers.ctypes.data, letters.ctypes.data, numbers.ctypes.data
-    top = 0
     for f in range(n_fronts):
         k = starts[f + 1] - starts[f]
         m = row_starts[f + 1] - row_starts[f]
-        size = k + m
         panel = panels[panel_starts[f] : panel_starts[f + 1]]
-        update = stack[top : top + m * m]
-        update[:] = 0.0
+        _fill(
+            panel, entry_starts[f], entry_starts[f + 1], entry_places, panel_starts[f], h_values, begins, rows, values,
+            weights, h_factor,
+        )  # fmt: skip
+        for v in range(starts[f], starts[f + 1]):
+            panels[diagonal_places[v]] = (panels[diagonal_places[v]] + diagonal[v]) * (1.0 + shift)
+        update = stack[stack_starts[f] : stack_starts[f] + m * m]
+        for j in range(m):
+            update[j * m + j : (j + 1) * m] = 0.0
         c = child[f]
         while c >= 0:
-            mc = row_starts[c + 1] - row_starts[c]
-            _extend_add(
-                panel, k, size, update, m, stack[stack_starts[c] : stack_starts[c] + mc * mc],
-                places[row_starts[c] : row_starts[c + 1]], mc,
-            )  # fmt: skip
+            first, end, inner = row_starts[c], row_starts[c + 1], n_inner[c]
+            its, to, ends = stack[stack_starts[c] :], places[first:end], run_ends[first:end]
+            _extend_add(panel, k + m, 0, its, to, ends, 0, inner)
+            _extend_add(update, m, k, its, to, ends, inner, end - first)
             c = sibling[c]
-        integers[0], integers[1], integers[2], integers[3] = k, m, size, 0
         at = panel.ctypes.data
-        _call(routines[0], (chars, ints, at, ints + 8, ints + 12))
-        if integers[3] != 0:
+        if not _eliminate(at, k, k + m, ints, chars, reals, integers, routines):
             return False
         if m > 0:
-            below = at + 8 * k
-            _call(
-                routines[1],
-                (chars + 3, chars, chars + 2, chars + 1, ints + 4, ints, reals, at, ints + 8, below, ints + 8),
-            )
+            integers[0], integers[1] = k, m
             _call(
                 routines[2],
-                (chars, chars + 1, ints + 4, ints, reals + 8, below, ints + 8, reals, update.ctypes.data, ints + 4),
-            )
-            to = stack_starts[f]
-            if to != top:
-                for t in range(m * m):
-                    stack[to + t] = stack[top + t]
-            top = to + m * m
-        else:
-            top = stack_starts[f]
+                (
+                    chars, chars + 1, ints + 4, ints, reals + 8, at + 8 * k, ints + 8, reals, update.ctypes.data,
+                    ints + 4,
+                ),
+            )  # fmt: skip
         p = parents[f]
         if p >= 0:
             sibling[f] = child[p]

@@ -20,6 +20,8 @@ import numpy as np
 __all__ = ["FrontTree", "dissect"]
 
 LEAF = 24
+# Cells of the Morton curve an axis, as a power of 2; up to 6 axes fit into an integer.
+MORTON_BITS = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +75,18 @@ class FrontTree:
         m = np.diff(self.row_starts)
         return _stack(self.parents, m)
 
+    @cached_property
+    def run_ends(self) -> np.ndarray:
+        """For each of `places` where the run of consecutive places that it belongs to ends, counted in its front."""
+        return _run_ends(self.row_starts, self.places)
+
+    @cached_property
+    def n_inner(self) -> np.ndarray:
+        """How many of each front's rows its parent eliminates."""
+        row_front = np.repeat(np.arange(self.parents.size), np.diff(self.row_starts))
+        ends = self.starts[self.parents + 1]
+        return np.bincount(row_front[self.rows < ends[row_front]], minlength=self.parents.size)
+
     def entries(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
         """Where the matrix entries (i, j) go in the array of panels (either triangle)."""
         a, b = self.position[i], self.position[j]
@@ -98,11 +112,24 @@ def dissect(indptr: np.ndarray, indices: np.ndarray, coordinates: Any = None, *,
     indptr, indices = indptr.astype(np.int64), indices.astype(np.int64)
     if coordinates is None:
         coordinates = _landmark_distances(indptr, indices, 3)
-    order, starts, parents = _dissect(indptr, indices, np.ascontiguousarray(coordinates, dtype=float), leaf)
+    coordinates = np.ascontiguousarray(coordinates, dtype=float)
+    order, starts, parents = _dissect(indptr, indices, coordinates, _morton_order(coordinates), leaf)
     position = np.empty_like(order)
     position[order] = np.arange(order.size)
     row_starts, rows, places = _rows(indptr, indices, order, position, starts, parents)
     return FrontTree(order, position, starts, parents, row_starts, rows, places)
+
+
+def _morton_order(coordinates: np.ndarray) -> np.ndarray:
+    """Unknowns along a Morton curve: within a front, those that a child shares then lie in few runs."""
+    n, d = coordinates.shape
+    ranks = np.argsort(np.argsort(coordinates, axis=0), axis=0)
+    cells = (ranks * 2**MORTON_BITS) // max(n, 1)
+    key = np.zeros(n, np.int64)
+    for bit in range(MORTON_BITS - 1, -1, -1):
+        for axis in range(d):
+            key = 2 * key + ((cells[:, axis] >> bit) & 1)
+    return np.argsort(key, kind="stable")
 
 
 @numba.njit(cache=True)
@@ -234,9 +261,9 @@ def _cover(indptr, indices, members, side, stamp, partner, seen, round_, stack, 
 
 
 @numba.njit(cache=True)
-def _dissect(indptr, indices, coordinates, leaf):
+def _dissect(indptr, indices, coordinates, order, leaf):
     n, d = coordinates.shape
-    order = np.arange(n)
+    order = order.copy()
     side = np.full(n, -1)
     partner, seen = np.full(n, -1), np.zeros(n, np.int64)
     stack, edge = np.empty(n + 1, np.int64), np.empty(n + 1, np.int64)
@@ -353,24 +380,41 @@ def _rows(indptr, indices, order, position, starts, parents):
 
 
 @numba.njit(cache=True)
+def _run_ends(row_starts, places):
+    ends = np.empty_like(places)
+    for i in range(row_starts.size - 1):
+        first, end = row_starts[i], row_starts[i + 1]
+        for t in range(end - 1, first - 1, -1):
+            joined = t + 1 < end and places[t + 1] == places[t] + 1
+            ends[t] = ends[t + 1] if joined else t + 1 - first
+    return ends
+
+
+@numba.njit(cache=True)
 def _stack(parents, m):
-    """Update matrices in the order of a stack: a front's own replaces those of its children."""
+    """Update matrices on two stacks, for even and odd depth: a front's own never lies where its children's do."""
     n_fronts = parents.size
-    starts = np.full(n_fronts, -1)
-    first = np.full(n_fronts, -1)
-    top = peak = 0
+    depth, first = np.zeros(n_fronts, np.int64), np.full(n_fronts, -1)
+    for i in range(n_fronts - 1, -1, -1):
+        if parents[i] >= 0:
+            depth[i] = 1 - depth[parents[i]]
+    starts = np.empty(n_fronts, np.int64)
+    top, peak = np.zeros(2, np.int64), np.zeros(2, np.int64)
     for i in range(n_fronts):
-        above = top  # the matrix is built above its children's and then moved down
-        peak = max(peak, above + m[i] * m[i])
-        if first[i] >= 0:
-            top = first[i]
-        starts[i] = top
+        here = depth[i]
+        if first[i] >= 0:  # the children's are done with after this front
+            top[1 - here] = first[i]
+        starts[i] = top[here]
         p = parents[i]
         if p >= 0:
             if first[p] < 0:
-                first[p] = top
-            top += m[i] * m[i]
-    return starts, peak
+                first[p] = top[here]
+            top[here] += m[i] * m[i]
+            peak[here] = max(peak[here], top[here])
+    for i in range(n_fronts):
+        if depth[i] == 1:
+            starts[i] += peak[0]
+    return starts, peak[0] + peak[1]
 
 
 @numba.njit(cache=True)
