@@ -1,8 +1,9 @@
 """Nested dissection: an elimination order for the sparse matrices of a mesh, and the tree of dense fronts it gives.
 
-A set of unknowns is cut in two halves by a plane through its median; the fewest unknowns that touch every matrix
-entry across the cut (a smallest vertex cover, by Kőnig's theorem from a largest matching) become the separator,
-which is eliminated after both halves; each half is cut again until it is small. Because a separator's columns fill
+A set of unknowns is cut in two parts by a plane; the fewest unknowns that touch every matrix entry across the cut (a
+smallest vertex cover, by Kőnig's theorem from a largest matching) become the separator, which is eliminated after
+both parts; each part is cut again until it is small. Of several planes the one counts whose separator is smallest
+for the size of the smaller part. Because a separator's columns fill
 almost wholly once its halves are gone, each separator and each leaf is one dense front of the multifrontal
 factorisation in `pwaid.cholesky`. Where there are no coordinates, graph distances from a few far-apart unknowns
 serve instead.
@@ -20,6 +21,9 @@ import numpy as np
 __all__ = ["FrontTree", "dissect"]
 
 LEAF = 24
+# Sets of more than this many unknowns are cut in several directions and shares, and the best separator is kept.
+MANY = 100
+SHARES = np.array([0.5, 0.45, 0.55, 0.4, 0.6])
 # Cells of the Morton curve an axis, as a power of 2; up to 6 axes fit into an integer.
 MORTON_BITS = 10
 
@@ -113,11 +117,20 @@ def dissect(indptr: np.ndarray, indices: np.ndarray, coordinates: Any = None, *,
     if coordinates is None:
         coordinates = _landmark_distances(indptr, indices, 3)
     coordinates = np.ascontiguousarray(coordinates, dtype=float)
-    order, starts, parents = _dissect(indptr, indices, coordinates, _morton_order(coordinates), leaf)
+    order, starts, parents = _dissect(
+        indptr, indices, coordinates, _directions(coordinates.shape[1]), SHARES, _morton_order(coordinates), leaf
+    )
     position = np.empty_like(order)
     position[order] = np.arange(order.size)
     row_starts, rows, places = _rows(indptr, indices, order, position, starts, parents)
     return FrontTree(order, position, starts, parents, row_starts, rows, places)
+
+
+def _directions(d: int) -> np.ndarray:
+    """Normals of the planes tried: the axes, and the diagonals between two of them."""
+    eye = np.eye(d)
+    diagonals = [(eye[i] + sign * eye[j]) for i in range(d) for j in range(i) for sign in (1.0, -1.0)]
+    return np.vstack([eye, *diagonals])
 
 
 def _morton_order(coordinates: np.ndarray) -> np.ndarray:
@@ -165,23 +178,12 @@ def _landmark_distances(indptr, indices, count):
 
 
 @numba.njit(cache=True)
-def _cut(indptr, indices, members, values, side, stamp):
-    """Mark the halves of `members` below and above the median with side = stamp, stamp + 1; count both rims."""
-    half = members.size // 2
+def _cut(members, values, share, side, stamp):
+    """Mark the members below and above a quantile of `values` with side = stamp, stamp + 1."""
+    below = int(members.size * share)
     by_value = np.argsort(values)
     for t in range(members.size):
-        side[members[by_value[t]]] = stamp if t < half else stamp + 1
-    low = high = 0
-    for v in members:
-        other = 2 * stamp + 1 - side[v]
-        for e in range(indptr[v], indptr[v + 1]):
-            if side[indices[e]] == other:
-                if other == stamp:
-                    high += 1
-                else:
-                    low += 1
-                break
-    return min(low, high)
+        side[members[by_value[t]]] = stamp if t < below else stamp + 1
 
 
 @numba.njit(cache=True)
@@ -261,13 +263,14 @@ def _cover(indptr, indices, members, side, stamp, partner, seen, round_, stack, 
 
 
 @numba.njit(cache=True)
-def _dissect(indptr, indices, coordinates, order, leaf):
+def _dissect(indptr, indices, coordinates, directions, shares, order, leaf):
     n, d = coordinates.shape
     order = order.copy()
     side = np.full(n, -1)
     partner, seen = np.full(n, -1), np.zeros(n, np.int64)
     stack, edge = np.empty(n + 1, np.int64), np.empty(n + 1, np.int64)
     separator = np.zeros(n, np.bool_)
+    part, chosen, sizes = np.empty(n, np.int64), np.empty(n, np.int64), np.zeros(3, np.int64)
     stamp, round_ = 0, 0
     # Fronts are found parents first; `begins` sorts them into elimination order at the end.
     begins, parents = [0 for _ in range(0)], [0 for _ in range(0)]
@@ -281,31 +284,34 @@ def _dissect(indptr, indices, coordinates, order, leaf):
             begins.append(low)
             parents.append(parent)
             continue
-        best, best_axis = n + 1, 0
-        for axis in range(d):
-            rim = _cut(indptr, indices, members, coordinates[members, axis], side, stamp)
-            stamp += 2
-            if rim < best:
-                best, best_axis = rim, axis
-        _cut(indptr, indices, members, coordinates[members, best_axis], side, stamp)
-        round_ = _cover(indptr, indices, members, side, stamp, partner, seen, round_, stack, edge, separator)
-        a, b = low, high
-        middle = low
-        for v in members:
-            if side[v] == stamp and not separator[v]:
-                order[middle] = v
-                middle += 1
-        a = middle
-        for v in members:
-            if side[v] != stamp and not separator[v]:
-                order[a] = v
-                a += 1
-        b = a
-        for v in members:
-            if separator[v]:
-                order[b] = v
-                b += 1
-        stamp += 2
+        best = np.inf
+        n_shares = shares.size if members.size > MANY else 1
+        for i in range(directions.shape[0] if members.size > MANY else d):
+            values = coordinates[members] @ directions[i]
+            for share in shares[:n_shares]:
+                _cut(members, values, share, side, stamp)
+                round_ = _cover(indptr, indices, members, side, stamp, partner, seen, round_, stack, edge, separator)
+                sizes[:] = 0
+                for t in range(members.size):
+                    v = members[t]
+                    part[t] = 2 if separator[v] else side[v] - stamp
+                    sizes[part[t]] += 1
+                score = sizes[2] / max(1, min(sizes[0], sizes[1])) ** (1.0 / 3.0)
+                if score < best:
+                    best = score
+                    chosen[: members.size] = part[: members.size]
+                stamp += 2
+        middle, a = low, low
+        for which in range(3):
+            if which == 1:
+                middle = a
+            elif which == 2:
+                b = a
+            for t in range(members.size):
+                if chosen[t] == which:
+                    order[a] = members[t]
+                    a += 1
+        a = b
         if a == high:  # nothing across the cut: both halves hang below the parent
             me = parent
         else:

@@ -23,7 +23,7 @@ import numpy as np
 from scipy import linalg
 
 from pwaid.engine import kernels
-from pwaid.engine.interior import SHIFTS, Direction, InteriorState, Operators, Progress, advance
+from pwaid.engine.interior import Direction, InteriorState, Operators, Progress, advance
 from pwaid.errors import InputError, SolverError
 from pwaid.problem import HingeProblem
 
@@ -33,6 +33,8 @@ __all__ = ["LambdaMax", "lambda_max"]
 USELESS = 1e-2
 MAX_ITERATIONS = 60
 STEPS_WITHOUT_GAIN = 8
+# Solves that make an upper bound exact: at most this many.
+REFINEMENTS = 5
 # The first λ, as a multiple of the bound that the least-squares z gives.
 FIRST = 1.5
 
@@ -114,7 +116,7 @@ def _bounds(ops: Operators, affine: np.ndarray, norms: np.ndarray, tol: float) -
             break
         progress = advance(direction)
         state, before = progress.state, upper - lower
-        upper = min(upper, _upper(ops, progress, direction.spring))
+        upper = min(upper, _upper(ops, progress, tol))
         v = state.v - affine @ (affine.T @ state.v)
         spent = float(np.abs(ops.F @ v).sum())
         if np.isfinite(spent) and spent > 0.0:
@@ -128,9 +130,7 @@ def _bounds(ops: Operators, affine: np.ndarray, norms: np.ndarray, tol: float) -
 def _factorise(ops: Operators, D: np.ndarray, held: np.ndarray) -> float | None:
     """Factorise FᵀDF with springs as stiff as its rows at the held vertices; the stiffness, None on breakdown."""
     spring = float(D @ np.asarray(ops.F.multiply(ops.F).sum(axis=1)).ravel()) / held.size
-    if any(ops.K.factorise(D, shift=shift, diagonal=spring * held) for shift in SHIFTS):
-        return spring
-    return None
+    return spring if ops.factorise(D, spring * held) else None
 
 
 def _start(ops: Operators, held: np.ndarray, weights: np.ndarray) -> tuple[InteriorState, float]:
@@ -150,12 +150,21 @@ def _begin(ops: Operators, s: InteriorState, held: np.ndarray) -> _BorderedDirec
     return None if spring is None else _BorderedDirection(ops, s, D, spring)
 
 
-def _upper(ops: Operators, progress: Progress, spring: float) -> float:
-    """‖z‖_∞ after z was made to fulfil Fᵀz = c by solves with the last factorisation."""
-    z = progress.state.nu
-    for _ in range(2):
-        z = z + progress.weights * (ops.F @ ops.K.solve(ops.c - ops.FT @ z))
-    return float(np.abs(z).max())
+def _upper(ops: Operators, progress: Progress, tol: float) -> float:
+    """A bound of ‖z‖_∞ for a z with Fᵀz = c, by refining the iterate's with the last factorisation.
+
+    Each correction is at most half of the one before, so all that are left out add up to no more than the last.
+    """
+    z, before = progress.state.nu, np.inf
+    for _ in range(REFINEMENTS):
+        change = progress.weights * (ops.F @ ops.K.solve(ops.c - ops.FT @ z))
+        size, z = float(np.abs(change).max()), z + change
+        if size > 0.5 * before:
+            return np.inf
+        bound, before = float(np.abs(z).max()) + size, size
+        if size <= 0.01 * tol * bound:
+            break
+    return bound
 
 
 class _BorderedDirection(Direction):

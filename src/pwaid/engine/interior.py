@@ -51,6 +51,8 @@ LEAST_TARGET = 1e-6
 REFINEMENTS = 3
 # λ − |ν| stays above this fraction of λ, so that rounding never makes it 0.
 CLEARANCE = 1e-15
+# From this many operations a factorisation on, single precision is faster: below, calls and copies take the time.
+SINGLE_PAYS = 2e8
 # Diagonal shifts tried, as fractions of the diagonal, when rounding makes a factorisation break down.
 SHIFTS = (0.0, 1e-14, 1e-12, 1e-10, 1e-8)
 
@@ -71,20 +73,30 @@ class InteriorState:
         return float(kernels.complementarity(self.p, self.q, self.nu, self.lam))
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(eq=False)
 class Operators:
-    """What every λ of a problem shares."""
+    """What every λ of a problem shares, and the precision in which this solve factorises."""
 
     F: sparse.csr_matrix
     FT: sparse.csr_matrix
     H: sparse.csr_matrix
     c: np.ndarray
     K: NormalMatrix
+    single: bool
 
     @classmethod
     def of(cls, problem: HingeProblem) -> Operators:
         """The problem's own matrices, in the forms that multiply fast."""
-        return cls(problem.F, problem.F.T.tocsr(), problem.H.tocsr(), problem.c, problem.normal_matrix)
+        K = problem.normal_matrix
+        return cls(problem.F, problem.F.T.tocsr(), problem.H.tocsr(), problem.c, K, K.tree.flops > SINGLE_PAYS)
+
+    def factorise(self, D: np.ndarray, diagonal: np.ndarray | None = None) -> bool:
+        """Factorise in single precision for as long as that is good enough, then in double; whether it worked."""
+        if self.single:
+            if self.K.factorise(D, diagonal=diagonal, single=True):
+                return True
+            self.single = False
+        return any(self.K.factorise(D, shift=shift, diagonal=diagonal) for shift in SHIFTS)
 
 
 @dataclass(frozen=True)
@@ -193,9 +205,7 @@ def advance(direction: Direction) -> Progress:
 def begin_direction(ops: Operators, s: InteriorState) -> Direction | None:
     """Factorise for an iterate; None when rounding makes every try break down."""
     D = kernels.weights(s.p, s.q, s.nu, s.lam)
-    if any(ops.K.factorise(D, shift=shift) for shift in SHIFTS):
-        return Direction(ops, s, D)
-    return None
+    return Direction(ops, s, D) if ops.factorise(D) else None
 
 
 def dual_point(ops: Operators, progress: Progress, negligible: float) -> tuple[np.ndarray, np.ndarray]:
