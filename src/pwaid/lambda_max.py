@@ -183,15 +183,10 @@ class _BorderedDirection(Direction):
         ops, s = self.ops, self.state
         return ops.c - ops.FT @ s.nu, s.p - s.q - ops.F @ s.v
 
-    def add(self, ra, rb, rd=None, rp=None) -> None:
-        ops, s = self.ops, self.state
+    def plus(self, ra, rb, rd=None, rp=0.0) -> Direction:
+        s = self.state
         missing = 0.0 if rd is None else 1.0 - float(s.p.sum() + s.q.sum())
-        g = kernels.reduce(self.D, np.zeros_like(ra) if rp is None else rp, ra, rb, s.nu, s.lam)
-        right = ops.FT @ g
-        v = ops.K.solve(right if rd is None else rd + right)
-        z = self.D * (ops.F @ v) - g
+        v, z = self._solved(ra, rb, rd, rp)
         drive = float((ra / (s.lam - s.nu) + rb / (s.lam + s.nu)).sum() + self.e @ z) - missing
         dlam = drive / self.stiffness
-        self.dv += v - dlam * self.v_lam
-        self.dlam += dlam
-        kernels.expand(z + dlam * self.z_lam, dlam, ra, rb, s.p, s.q, s.nu, s.lam, self.dnu, self.dp, self.dq)
+        return self._moved(v - dlam * self.v_lam, z + dlam * self.z_lam, dlam, ra, rb)
