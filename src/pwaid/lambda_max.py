@@ -33,8 +33,9 @@ __all__ = ["LambdaMax", "lambda_max"]
 USELESS = 1e-2
 MAX_ITERATIONS = 60
 STEPS_WITHOUT_GAIN = 8
-# Solves that make an upper bound exact: at most this many.
+# Solves that make an upper bound exact: at most this many; what is left is charged with this times ‖v‖_∞.
 REFINEMENTS = 5
+GENEROUS = 2.0
 # The first λ, as a multiple of the bound that the least-squares z gives.
 FIRST = 1.5
 
@@ -116,11 +117,11 @@ def _bounds(ops: Operators, affine: np.ndarray, norms: np.ndarray, tol: float) -
             break
         progress = advance(direction)
         state, before = progress.state, upper - lower
-        upper = min(upper, _upper(ops, progress, tol))
         v = state.v - affine @ (affine.T @ state.v)
         spent = float(np.abs(ops.F @ v).sum())
         if np.isfinite(spent) and spent > 0.0:
             lower = max(lower, float(ops.c @ v) / spent)
+            upper = min(upper, _upper(ops, progress, GENEROUS * float(np.abs(v).max()) / spent, tol))
         idle = 0 if upper - lower < 0.99 * before else idle + 1
         if upper - lower <= tol * upper or idle >= STEPS_WITHOUT_GAIN:
             break
@@ -150,19 +151,18 @@ def _begin(ops: Operators, s: InteriorState, held: np.ndarray) -> _BorderedDirec
     return None if spring is None else _BorderedDirection(ops, s, D, spring)
 
 
-def _upper(ops: Operators, progress: Progress, tol: float) -> float:
-    """A bound of ‖z‖_∞ for a z with Fᵀz = c, by refining the iterate's with the last factorisation.
+def _upper(ops: Operators, progress: Progress, reach: float, tol: float) -> float:
+    """A bound from a z with Fᵀz = c, found by refining the iterate's with the last factorisation.
 
-    Each correction is at most half of the one before, so all that are left out add up to no more than the last.
+    What z still lacks, r = c − Fᵀz, is charged with ‖r‖₁ times `reach`, a generous bound of ‖v‖_∞ where ‖F v‖₁ = 1.
     """
-    z, before = progress.state.nu, np.inf
+    z, bound = progress.state.nu, np.inf
+    left = ops.c - ops.FT @ z
     for _ in range(REFINEMENTS):
-        change = progress.weights * (ops.F @ ops.K.solve(ops.c - ops.FT @ z))
-        size, z = float(np.abs(change).max()), z + change
-        if size > 0.5 * before:
-            return np.inf
-        bound, before = float(np.abs(z).max()) + size, size
-        if size <= 0.01 * tol * bound:
+        z = z + progress.weights * (ops.F @ ops.K.solve(left))
+        left = ops.c - ops.FT @ z
+        before, bound = bound, min(bound, float(np.abs(z).max() + reach * np.abs(left).sum()))
+        if bound > (1.0 - 0.01 * tol) * before:
             break
     return bound
 
