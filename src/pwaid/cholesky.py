@@ -243,8 +243,8 @@ def _eliminate(at, unit, k, size, ints, chars, reals, integers, routines):
             _call(
                 routines[5],
                 (
-                    chars + 1, chars + 2, ints + 4, ints, ints + 16, reals + unit, left, ints + 8, left, ints + 8, reals,
-                    corner, ints + 8,
+                    chars + 1, chars + 2, ints + 4, ints, ints + 16, reals + unit, left, ints + 8, left, ints + 8,
+                    reals, corner, ints + 8,
                 ),
             )  # fmt: skip
         _call(routines[0], (chars, ints, corner, ints + 8, ints + 12))
@@ -343,8 +343,8 @@ def _solve(panels, panel_starts, starts, row_starts, rows, x, work, integers, ro
             _call(
                 routines[4],
                 (
-                    chars + 2, ints + 4, ints, reals + unit, at + unit * k, ints + 8, work.ctypes.data, ints + 12, reals,
-                    here, ints + 12,
+                    chars + 2, ints + 4, ints, reals + unit, at + unit * k, ints + 8, work.ctypes.data, ints + 12,
+                    reals, here, ints + 12,
                 ),
             )  # fmt: skip
         _call(routines[3], (chars, chars + 2, chars + 1, ints, at, ints + 8, here, ints + 12))

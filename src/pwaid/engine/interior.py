@@ -238,7 +238,7 @@ class DualPoint:
 
 
 def dual_point(ops: Operators, progress: Progress, negligible: float) -> DualPoint:
-    """A pair near the iterate that lacks at most `negligible` (1-norm) if rounding allows, by the last factorisation."""
+    """A pair near the iterate that lacks `negligible` (1-norm) at most, if rounding allows; by the last factors."""
     v, nu = progress.state.v, progress.state.nu
     point = ops.at(progress.state)
     image, residual = point.image, point.left_over
