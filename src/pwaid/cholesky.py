@@ -21,22 +21,23 @@ from pwaid.dissection import dissect
 
 __all__ = ["NormalMatrix"]
 
-_ADDRESSES = np.array(
-    [
-        get_cython_function_address("scipy.linalg.cython_lapack", "dpotrf"),
-        get_cython_function_address("scipy.linalg.cython_blas", "dtrsm"),
-        get_cython_function_address("scipy.linalg.cython_blas", "dsyrk"),
-        get_cython_function_address("scipy.linalg.cython_blas", "dtrsv"),
-        get_cython_function_address("scipy.linalg.cython_blas", "dgemv"),
-    ],
-    dtype=np.int64,
-)
-_POTRF, _TRSM, _SYRK, _TRSV, _GEMV = range(5)
+def _addresses(letter: str) -> np.ndarray:
+    """The routines for one precision ("s" or "d")."""
+    lapack = [get_cython_function_address("scipy.linalg.cython_lapack", letter + "potrf")]
+    names = ("trsm", "syrk", "trsv", "gemv", "gemm")
+    blas = [get_cython_function_address("scipy.linalg.cython_blas", letter + name) for name in names]
+    return np.array(lapack + blas, dtype=np.int64)
+
+
+_POTRF, _TRSM, _SYRK, _TRSV, _GEMV, _GEMM = range(6)
 # The letters that BLAS takes, and numbers; both are passed by address.
 _LETTERS = np.frombuffer(b"LNTR", dtype=np.uint8).copy()
 _L, _N, _T, _R = range(4)
 _NUMBERS = np.array([1.0, -1.0, 0.0])
-_ONE, _MINUS, _ZERO = 0, 8, 16
+# Columns of a front factorised at a time: triangular solves are slow, so little is left to them.
+_BLOCK = 32
+# A factorisation in single precision passes when a solve with it leaves at most this fraction of the right-hand side.
+_PROBE_LEFT = 1e-2
 
 
 @intrinsic
@@ -74,20 +75,28 @@ class NormalMatrix:
         filled = sparse.csc_matrix((np.ones(H.data.size), H.indices, H.indptr), H.shape)
         pattern = sparse.csr_matrix(ones.T @ ones + filled + sparse.eye_array(n))
         self.tree = tree = dissect(pattern.indptr, pattern.indices, coordinates)
-        upper = sparse.coo_matrix(sparse.triu(H))
-        self._h_places = tree.entries(upper.coords[0], upper.coords[1])
-        self._h_values = upper.data.astype(float)
-        self._f_starts, self._f_places, self._f_values = _products(F, tree)
-        self._diagonal = tree.entries(np.arange(n), np.arange(n))
-        self._panels = np.zeros(tree.n_stored)
-        starts, peak = tree.stack_starts
-        self._stack_starts, self._stack = starts, np.empty(max(1, peak))
-        m = np.diff(tree.row_starts)
-        self._work = np.empty(int(m.max(initial=1)) + n)
+        self._H, self._F, self._FT = H, F, F.T.tocsr()
+        self._entries = _gather(H, F, tree)
+        self._entry_starts = np.searchsorted(self._entries[0], tree.panel_starts)
+        self._values = np.empty(self._entries[0].size)
+        self._diagonal = np.searchsorted(self._entries[0], tree.entries(tree.order, tree.order))
+        self._scale = np.ones(n)
+        self._stores: dict[bool, _Store] = {}
+        self._store: _Store | None = None
+        self._probe = np.random.default_rng(0).choice([-1.0, 1.0], n)
         self.n_factorisations = 0
 
-    def factorise(self, weights: np.ndarray, *, shift: float = 0.0, diagonal: np.ndarray | None = None) -> bool:
+    def factorise(
+        self,
+        weights: np.ndarray,
+        *,
+        shift: float = 0.0,
+        diagonal: np.ndarray | None = None,
+        single: bool = False,
+    ) -> bool:
         """Factorise K for D = diag(weights); whether it worked.
+
+        K is scaled to a unit diagonal first.
 
         Parameters
         ----------
@@ -96,42 +105,80 @@ class NormalMatrix:
             Raise the diagonal by this fraction of itself, against breakdown by rounding.
         diagonal : ndarray, shape (n,), optional
             Put this diagonal matrix in the place of H.
+        single : bool
+            In single precision: half the time and memory. It counts as a failure when a solve of a test equation
+            leaves more than 1 % of its right-hand side.
         """
         self.n_factorisations += 1
-        tree = self.tree
-        values = self._h_values if diagonal is None else self._h_values[:0]
-        _fill(self._panels, self._h_places, values, self._f_starts, self._f_places, self._f_values, weights)
-        if diagonal is not None:
-            self._panels[self._diagonal] += diagonal
-        if shift > 0.0:
-            self._panels[self._diagonal] *= 1.0 + shift
-        integers = np.empty(4, np.int32)
-        return _factorise(
-            self._panels, tree.panel_starts, tree.starts, tree.parents, tree.row_starts, tree.places,
-            self._stack, self._stack_starts, integers, _ADDRESSES, _LETTERS, _NUMBERS,
+        tree, (places, *sums) = self.tree, self._entries
+        h_factor, added = (1.0, np.zeros(1)) if diagonal is None else (0.0, diagonal[tree.order])
+        _scaled_values(self._values, self._scale, *sums, weights, h_factor, added, self._diagonal)
+        self._store = store = self._stores.setdefault(single, _Store(tree, single))
+        worked = _factorise(
+            store.panels, tree.panel_starts, tree.starts, tree.parents, tree.row_starts, tree.places, tree.run_ends,
+            tree.n_inner, store.stack, tree.stack_starts[0], places, self._entry_starts, self._values, shift,
+            np.empty(6, np.int32), store.routines, _LETTERS, store.numbers,
         )  # fmt: skip
+        return worked and (not single or self._passes(weights, diagonal))
 
     def solve(self, b: np.ndarray) -> np.ndarray:
         """K⁻¹ b for the last factorisation, b of shape (n,)."""
-        tree = self.tree
-        x = b[tree.order]
-        integers = np.empty(4, np.int32)
+        tree, store = self.tree, self._store
+        x = (b[tree.order] * self._scale).astype(store.panels.dtype)
         _solve(
-            self._panels, tree.panel_starts, tree.starts, tree.row_starts, tree.rows, x, self._work,
-            integers, _ADDRESSES, _LETTERS, _NUMBERS,
+            store.panels, tree.panel_starts, tree.starts, tree.row_starts, tree.rows, x, store.work,
+            np.empty(4, np.int32), store.routines, _LETTERS, store.numbers,
         )  # fmt: skip
-        out = np.empty_like(x)
-        out[tree.order] = x
+        out = np.empty_like(b)
+        out[tree.order] = self._scale * x
         return out
 
+    def _passes(self, weights: np.ndarray, diagonal: np.ndarray | None) -> bool:
+        """Whether a solve for a right-hand side of all frequencies leaves little of it, in the scaled equation."""
+        scale = np.empty_like(self._scale)
+        scale[self.tree.order] = self._scale
+        b = self._probe / scale
+        x = self.solve(b)
+        left = b - self._FT @ (weights * (self._F @ x)) - (self._H @ x if diagonal is None else diagonal * x)
+        return float(np.linalg.norm(scale * left)) <= _PROBE_LEFT * np.sqrt(b.size)
 
-def _products(F: sparse.csr_matrix, tree: Any) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """For each row of F the pairwise products of its entries and where they go."""
+
+class _Store:
+    """What a factorisation in one precision fills."""
+
+    def __init__(self, tree: Any, single: bool):
+        dtype = np.float32 if single else np.float64
+        self.panels = np.zeros(tree.n_stored, dtype)
+        self.stack = np.empty(max(1, tree.stack_starts[1]), dtype)
+        self.work = np.empty(int(np.diff(tree.row_starts).max(initial=1)), dtype)
+        self.routines = _addresses("s" if single else "d")
+        self.numbers = _NUMBERS.astype(dtype)
+
+
+def _gather(H: sparse.csc_matrix, F: sparse.csr_matrix, tree: Any) -> tuple[np.ndarray, ...]:
+    """The entries of K below the diagonal, in the order of their places.
+
+    Returns their places, positions in the order of elimination (two arrays), H's values, and what sums to FᵀDF: where
+    the terms of each entry begin, the row of F of each term, and the product of two of its entries.
+    """
     counts = np.diff(F.indptr)
     starts = np.concatenate([[0], np.cumsum(counts * (counts + 1) // 2)])
     i, j, values = np.empty(starts[-1], np.int64), np.empty(starts[-1], np.int64), np.empty(starts[-1])
     _pairs(F.indptr, F.indices, F.data, starts, i, j, values)
-    return starts, tree.entries(i, j), values
+    upper = sparse.coo_matrix(sparse.triu(H))
+    of_h, of_f = tree.entries(upper.coords[0], upper.coords[1]), tree.entries(i, j)
+    of_diagonal = tree.entries(tree.order, tree.order)
+    places, first = np.unique(np.concatenate([of_h, of_f, of_diagonal]), return_index=True)
+    one, other = (
+        tree.position[np.concatenate([a, b, tree.order])[first]].astype(np.int32)
+        for a, b in zip(upper.coords, (i, j), strict=True)
+    )
+    h_values = np.zeros(places.size)
+    h_values[np.searchsorted(places, of_h)] = upper.data
+    row = np.repeat(np.arange(F.shape[0], dtype=np.int32), np.diff(starts))
+    order = np.argsort(of_f, kind="stable")
+    begins = np.searchsorted(of_f[order], np.append(places, tree.n_stored))
+    return places, one, other, h_values, begins, row[order], values[order]
 
 
 @numba.njit(cache=True)
@@ -145,77 +192,114 @@ def _pairs(indptr, indices, data, starts, i, j, values):
 
 
 @numba.njit(cache=True)
-def _fill(panels, h_places, h_values, f_starts, f_places, f_values, weights):
-    panels[:] = 0.0
-    for e in range(h_values.size):
-        panels[h_places[e]] += h_values[e]
-    for r in range(weights.size):
-        w = weights[r]
-        for e in range(f_starts[r], f_starts[r + 1]):
-            panels[f_places[e]] += w * f_values[e]
+def _scaled_values(out, scale, one, other, h_values, begins, rows, values, weights, h_factor, added, diagonal):
+    """The entries of K, scaled to a unit diagonal by `scale` on either side."""
+    for e in range(out.size):
+        total = h_factor * h_values[e]
+        for t in range(begins[e], begins[e + 1]):
+            total += weights[rows[t]] * values[t]
+        out[e] = total
+    for v in range(diagonal.size):
+        out[diagonal[v]] += added[v % added.size]
+        d = out[diagonal[v]]
+        scale[v] = 1.0 / np.sqrt(d) if d > 0.0 else 1.0
+    for e in range(out.size):
+        out[e] *= scale[one[e]] * scale[other[e]]
 
 
 @numba.njit(cache=True)
-def _extend_add(panel, k, size, update, m, child, places, mc):
-    """Add a child's update matrix to its parent's panel (first k columns); the rest to the parent's update matrix."""
-    for j in range(mc):
-        column = places[j]
-        base = j * mc
-        if column < k:
-            to = column * size
-            for i in range(j, mc):
-                panel[to + places[i]] += child[base + i]
-        else:
-            to = (column - k) * m - k
-            for i in range(j, mc):
-                update[to + places[i]] += child[base + i]
+def _extend_add(target, stride, shift, child, places, run_ends, low, high):
+    """Add columns low … high − 1 of a child's update matrix to its parent's columns or update matrix."""
+    mc = places.size
+    for j in range(low, high):
+        column = (places[j] - shift) * stride - shift
+        i = j
+        while i < mc:
+            length = run_ends[i] - i
+            into = target[column + places[i] : column + places[i] + length]
+            added = child[j * mc + i : j * mc + i + length]
+            for t in range(length):
+                into[t] += added[t]
+            i += length
+
+
+@numba.njit(cache=True)
+def _eliminate(at, unit, k, size, ints, chars, reals, integers, routines):
+    """Factorise a front's k columns in place, a block of columns at a time; whether it worked.
+
+    `unit` is the size of a number in bytes; `ints`, `chars`, `reals` are addresses.
+
+    A block is brought up to date by one product with all columns before it, its diagonal part factorised, and the
+    rows below solved with that. `integers` holds: columns, rows, stride, info, columns before, rows below.
+    """
+    integers[2] = size
+    for j in range(0, k, _BLOCK):
+        width = min(_BLOCK, k - j)
+        corner = at + unit * (j * size + j)
+        integers[0], integers[1], integers[3] = width, size - j, 0
+        integers[4], integers[5] = j, size - j - width
+        if j > 0:
+            left = at + unit * j
+            _call(
+                routines[5],
+                (
+                    chars + 1, chars + 2, ints + 4, ints, ints + 16, reals + unit, left, ints + 8, left, ints + 8,
+                    reals, corner, ints + 8,
+                ),
+            )  # fmt: skip
+        _call(routines[0], (chars, ints, corner, ints + 8, ints + 12))
+        if integers[3] != 0:
+            return False
+        if integers[5] > 0:
+            _call(
+                routines[1],
+                (
+                    chars + 3, chars, chars + 2, chars + 1, ints + 20, ints, reals, corner, ints + 8,
+                    corner + unit * width, ints + 8,
+                ),
+            )  # fmt: skip
+    return True
 
 
 @numba.njit(cache=True)
 def _factorise(
-    panels, panel_starts, starts, parents, row_starts, places, stack, stack_starts, integers, routines, letters, numbers
-):
-    n_fronts = parents.size
+    panels, panel_starts, starts, parents, row_starts, places, run_ends, n_inner, stack, stack_starts, entry_places,
+    entry_starts, values, shift, integers, routines, letters, numbers,
+):  # fmt: skip
+    n_fronts, unit = parents.size, panels.itemsize
     child, sibling = np.full(n_fronts, -1), np.full(n_fronts, -1)
     ints, chars, reals = integers.ctypes.data, letters.ctypes.data, numbers.ctypes.data
-    top = 0
     for f in range(n_fronts):
         k = starts[f + 1] - starts[f]
         m = row_starts[f + 1] - row_starts[f]
-        size = k + m
         panel = panels[panel_starts[f] : panel_starts[f + 1]]
-        update = stack[top : top + m * m]
-        update[:] = 0.0
+        panel[:] = 0.0
+        for e in range(entry_starts[f], entry_starts[f + 1]):
+            panel[entry_places[e] - panel_starts[f]] = values[e]
+        for v in range(k):
+            panel[v * (k + m) + v] *= 1.0 + shift
+        update = stack[stack_starts[f] : stack_starts[f] + m * m]
+        for j in range(m):
+            update[j * m + j : (j + 1) * m] = 0.0
         c = child[f]
         while c >= 0:
-            mc = row_starts[c + 1] - row_starts[c]
-            _extend_add(
-                panel, k, size, update, m, stack[stack_starts[c] : stack_starts[c] + mc * mc],
-                places[row_starts[c] : row_starts[c + 1]], mc,
-            )  # fmt: skip
+            first, end, inner = row_starts[c], row_starts[c + 1], n_inner[c]
+            its, to, ends = stack[stack_starts[c] :], places[first:end], run_ends[first:end]
+            _extend_add(panel, k + m, 0, its, to, ends, 0, inner)
+            _extend_add(update, m, k, its, to, ends, inner, end - first)
             c = sibling[c]
-        integers[0], integers[1], integers[2], integers[3] = k, m, size, 0
         at = panel.ctypes.data
-        _call(routines[0], (chars, ints, at, ints + 8, ints + 12))
-        if integers[3] != 0:
+        if not _eliminate(at, unit, k, k + m, ints, chars, reals, integers, routines):
             return False
         if m > 0:
-            below = at + 8 * k
-            _call(
-                routines[1],
-                (chars + 3, chars, chars + 2, chars + 1, ints + 4, ints, reals, at, ints + 8, below, ints + 8),
-            )
+            integers[0], integers[1] = k, m
             _call(
                 routines[2],
-                (chars, chars + 1, ints + 4, ints, reals + 8, below, ints + 8, reals, update.ctypes.data, ints + 4),
-            )
-            to = stack_starts[f]
-            if to != top:
-                for t in range(m * m):
-                    stack[to + t] = stack[top + t]
-            top = to + m * m
-        else:
-            top = stack_starts[f]
+                (
+                    chars, chars + 1, ints + 4, ints, reals + unit, at + unit * k, ints + 8, reals, update.ctypes.data,
+                    ints + 4,
+                ),
+            )  # fmt: skip
         p = parents[f]
         if p >= 0:
             sibling[f] = child[p]
@@ -225,21 +309,21 @@ def _factorise(
 
 @numba.njit(cache=True)
 def _solve(panels, panel_starts, starts, row_starts, rows, x, work, integers, routines, letters, numbers):
-    n_fronts = starts.size - 1
+    n_fronts, unit = starts.size - 1, panels.itemsize
     ints, chars, reals = integers.ctypes.data, letters.ctypes.data, numbers.ctypes.data
     integers[3] = 1
     for f in range(n_fronts):
         k = starts[f + 1] - starts[f]
         m = row_starts[f + 1] - row_starts[f]
         integers[0], integers[1], integers[2] = k, m, k + m
-        at = panels.ctypes.data + 8 * panel_starts[f]
-        here = x.ctypes.data + 8 * starts[f]
+        at = panels.ctypes.data + unit * panel_starts[f]
+        here = x.ctypes.data + unit * starts[f]
         _call(routines[3], (chars, chars + 1, chars + 1, ints, at, ints + 8, here, ints + 12))
         if m > 0:
             _call(
                 routines[4],
                 (
-                    chars + 1, ints + 4, ints, reals, at + 8 * k, ints + 8, here, ints + 12, reals + 16,
+                    chars + 1, ints + 4, ints, reals, at + unit * k, ints + 8, here, ints + 12, reals + 2 * unit,
                     work.ctypes.data, ints + 12,
                 ),
             )  # fmt: skip
@@ -250,8 +334,8 @@ def _solve(panels, panel_starts, starts, row_starts, rows, x, work, integers, ro
         k = starts[f + 1] - starts[f]
         m = row_starts[f + 1] - row_starts[f]
         integers[0], integers[1], integers[2] = k, m, k + m
-        at = panels.ctypes.data + 8 * panel_starts[f]
-        here = x.ctypes.data + 8 * starts[f]
+        at = panels.ctypes.data + unit * panel_starts[f]
+        here = x.ctypes.data + unit * starts[f]
         if m > 0:
             first = row_starts[f]
             for t in range(m):
@@ -259,8 +343,8 @@ def _solve(panels, panel_starts, starts, row_starts, rows, x, work, integers, ro
             _call(
                 routines[4],
                 (
-                    chars + 2, ints + 4, ints, reals + 8, at + 8 * k, ints + 8, work.ctypes.data, ints + 12, reals,
-                    here, ints + 12,
+                    chars + 2, ints + 4, ints, reals + unit, at + unit * k, ints + 8, work.ctypes.data, ints + 12,
+                    reals, here, ints + 12,
                 ),
             )  # fmt: skip
         _call(routines[3], (chars, chars + 2, chars + 1, ints, at, ints + 8, here, ints + 12))

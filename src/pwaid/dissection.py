@@ -1,8 +1,9 @@
 """Nested dissection: an elimination order for the sparse matrices of a mesh, and the tree of dense fronts it gives.
 
-A set of unknowns is cut in two halves by a plane through its median; the fewest unknowns that touch every matrix
-entry across the cut (a smallest vertex cover, by Kőnig's theorem from a largest matching) become the separator,
-which is eliminated after both halves; each half is cut again until it is small. Because a separator's columns fill
+A set of unknowns is cut in two parts by a plane; the fewest unknowns that touch every matrix entry across the cut (a
+smallest vertex cover, by Kőnig's theorem from a largest matching) become the separator, which is eliminated after
+both parts; each part is cut again until it is small. Of several planes the one counts whose separator is smallest
+for the size of the smaller part. Because a separator's columns fill
 almost wholly once its halves are gone, each separator and each leaf is one dense front of the multifrontal
 factorisation in `pwaid.cholesky`. Where there are no coordinates, graph distances from a few far-apart unknowns
 serve instead.
@@ -20,6 +21,11 @@ import numpy as np
 __all__ = ["FrontTree", "dissect"]
 
 LEAF = 24
+# Sets of more than this many unknowns are cut in several directions and shares, and the best separator is kept.
+MANY = 100
+SHARES = np.array([0.5, 0.45, 0.55, 0.4, 0.6])
+# Cells of the Morton curve an axis, as a power of 2; up to 6 axes fit into an integer.
+MORTON_BITS = 10
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,6 +79,18 @@ class FrontTree:
         m = np.diff(self.row_starts)
         return _stack(self.parents, m)
 
+    @cached_property
+    def run_ends(self) -> np.ndarray:
+        """For each of `places` where the run of consecutive places that it belongs to ends, counted in its front."""
+        return _run_ends(self.row_starts, self.places)
+
+    @cached_property
+    def n_inner(self) -> np.ndarray:
+        """How many of each front's rows its parent eliminates."""
+        row_front = np.repeat(np.arange(self.parents.size), np.diff(self.row_starts))
+        ends = self.starts[self.parents + 1]
+        return np.bincount(row_front[self.rows < ends[row_front]], minlength=self.parents.size)
+
     def entries(self, i: np.ndarray, j: np.ndarray) -> np.ndarray:
         """Where the matrix entries (i, j) go in the array of panels (either triangle)."""
         a, b = self.position[i], self.position[j]
@@ -98,11 +116,33 @@ def dissect(indptr: np.ndarray, indices: np.ndarray, coordinates: Any = None, *,
     indptr, indices = indptr.astype(np.int64), indices.astype(np.int64)
     if coordinates is None:
         coordinates = _landmark_distances(indptr, indices, 3)
-    order, starts, parents = _dissect(indptr, indices, np.ascontiguousarray(coordinates, dtype=float), leaf)
+    coordinates = np.ascontiguousarray(coordinates, dtype=float)
+    order, starts, parents = _dissect(
+        indptr, indices, coordinates, _directions(coordinates.shape[1]), SHARES, _morton_order(coordinates), leaf
+    )
     position = np.empty_like(order)
     position[order] = np.arange(order.size)
     row_starts, rows, places = _rows(indptr, indices, order, position, starts, parents)
     return FrontTree(order, position, starts, parents, row_starts, rows, places)
+
+
+def _directions(d: int) -> np.ndarray:
+    """Normals of the planes tried: the axes, and the diagonals between two of them."""
+    eye = np.eye(d)
+    diagonals = [(eye[i] + sign * eye[j]) for i in range(d) for j in range(i) for sign in (1.0, -1.0)]
+    return np.vstack([eye, *diagonals])
+
+
+def _morton_order(coordinates: np.ndarray) -> np.ndarray:
+    """Unknowns along a Morton curve: within a front, those that a child shares then lie in few runs."""
+    n, d = coordinates.shape
+    ranks = np.argsort(np.argsort(coordinates, axis=0), axis=0)
+    cells = (ranks * 2**MORTON_BITS) // max(n, 1)
+    key = np.zeros(n, np.int64)
+    for bit in range(MORTON_BITS - 1, -1, -1):
+        for axis in range(d):
+            key = 2 * key + ((cells[:, axis] >> bit) & 1)
+    return np.argsort(key, kind="stable")
 
 
 @numba.njit(cache=True)
@@ -138,23 +178,12 @@ def _landmark_distances(indptr, indices, count):
 
 
 @numba.njit(cache=True)
-def _cut(indptr, indices, members, values, side, stamp):
-    """Mark the halves of `members` below and above the median with side = stamp, stamp + 1; count both rims."""
-    half = members.size // 2
+def _cut(members, values, share, side, stamp):
+    """Mark the members below and above a quantile of `values` with side = stamp, stamp + 1."""
+    below = int(members.size * share)
     by_value = np.argsort(values)
     for t in range(members.size):
-        side[members[by_value[t]]] = stamp if t < half else stamp + 1
-    low = high = 0
-    for v in members:
-        other = 2 * stamp + 1 - side[v]
-        for e in range(indptr[v], indptr[v + 1]):
-            if side[indices[e]] == other:
-                if other == stamp:
-                    high += 1
-                else:
-                    low += 1
-                break
-    return min(low, high)
+        side[members[by_value[t]]] = stamp if t < below else stamp + 1
 
 
 @numba.njit(cache=True)
@@ -234,13 +263,14 @@ def _cover(indptr, indices, members, side, stamp, partner, seen, round_, stack, 
 
 
 @numba.njit(cache=True)
-def _dissect(indptr, indices, coordinates, leaf):
+def _dissect(indptr, indices, coordinates, directions, shares, order, leaf):
     n, d = coordinates.shape
-    order = np.arange(n)
+    order = order.copy()
     side = np.full(n, -1)
     partner, seen = np.full(n, -1), np.zeros(n, np.int64)
     stack, edge = np.empty(n + 1, np.int64), np.empty(n + 1, np.int64)
     separator = np.zeros(n, np.bool_)
+    part, chosen, sizes = np.empty(n, np.int64), np.empty(n, np.int64), np.zeros(3, np.int64)
     stamp, round_ = 0, 0
     # Fronts are found parents first; `begins` sorts them into elimination order at the end.
     begins, parents = [0 for _ in range(0)], [0 for _ in range(0)]
@@ -254,31 +284,34 @@ def _dissect(indptr, indices, coordinates, leaf):
             begins.append(low)
             parents.append(parent)
             continue
-        best, best_axis = n + 1, 0
-        for axis in range(d):
-            rim = _cut(indptr, indices, members, coordinates[members, axis], side, stamp)
-            stamp += 2
-            if rim < best:
-                best, best_axis = rim, axis
-        _cut(indptr, indices, members, coordinates[members, best_axis], side, stamp)
-        round_ = _cover(indptr, indices, members, side, stamp, partner, seen, round_, stack, edge, separator)
-        a, b = low, high
-        middle = low
-        for v in members:
-            if side[v] == stamp and not separator[v]:
-                order[middle] = v
-                middle += 1
-        a = middle
-        for v in members:
-            if side[v] != stamp and not separator[v]:
-                order[a] = v
-                a += 1
-        b = a
-        for v in members:
-            if separator[v]:
-                order[b] = v
-                b += 1
-        stamp += 2
+        best = np.inf
+        n_shares = shares.size if members.size > MANY else 1
+        for i in range(directions.shape[0] if members.size > MANY else d):
+            values = coordinates[members] @ directions[i]
+            for share in shares[:n_shares]:
+                _cut(members, values, share, side, stamp)
+                round_ = _cover(indptr, indices, members, side, stamp, partner, seen, round_, stack, edge, separator)
+                sizes[:] = 0
+                for t in range(members.size):
+                    v = members[t]
+                    part[t] = 2 if separator[v] else side[v] - stamp
+                    sizes[part[t]] += 1
+                score = sizes[2] / max(1, min(sizes[0], sizes[1])) ** (1.0 / 3.0)
+                if score < best:
+                    best = score
+                    chosen[: members.size] = part[: members.size]
+                stamp += 2
+        middle, a = low, low
+        for which in range(3):
+            if which == 1:
+                middle = a
+            elif which == 2:
+                b = a
+            for t in range(members.size):
+                if chosen[t] == which:
+                    order[a] = members[t]
+                    a += 1
+        a = b
         if a == high:  # nothing across the cut: both halves hang below the parent
             me = parent
         else:
@@ -353,24 +386,41 @@ def _rows(indptr, indices, order, position, starts, parents):
 
 
 @numba.njit(cache=True)
+def _run_ends(row_starts, places):
+    ends = np.empty_like(places)
+    for i in range(row_starts.size - 1):
+        first, end = row_starts[i], row_starts[i + 1]
+        for t in range(end - 1, first - 1, -1):
+            joined = t + 1 < end and places[t + 1] == places[t] + 1
+            ends[t] = ends[t + 1] if joined else t + 1 - first
+    return ends
+
+
+@numba.njit(cache=True)
 def _stack(parents, m):
-    """Update matrices in the order of a stack: a front's own replaces those of its children."""
+    """Update matrices on two stacks, for even and odd depth: a front's own never lies where its children's do."""
     n_fronts = parents.size
-    starts = np.full(n_fronts, -1)
-    first = np.full(n_fronts, -1)
-    top = peak = 0
+    depth, first = np.zeros(n_fronts, np.int64), np.full(n_fronts, -1)
+    for i in range(n_fronts - 1, -1, -1):
+        if parents[i] >= 0:
+            depth[i] = 1 - depth[parents[i]]
+    starts = np.empty(n_fronts, np.int64)
+    top, peak = np.zeros(2, np.int64), np.zeros(2, np.int64)
     for i in range(n_fronts):
-        above = top  # the matrix is built above its children's and then moved down
-        peak = max(peak, above + m[i] * m[i])
-        if first[i] >= 0:
-            top = first[i]
-        starts[i] = top
+        here = depth[i]
+        if first[i] >= 0:  # the children's are done with after this front
+            top[1 - here] = first[i]
+        starts[i] = top[here]
         p = parents[i]
         if p >= 0:
             if first[p] < 0:
-                first[p] = top
-            top += m[i] * m[i]
-    return starts, peak
+                first[p] = top[here]
+            top[here] += m[i] * m[i]
+            peak[here] = max(peak[here], top[here])
+    for i in range(n_fronts):
+        if depth[i] == 1:
+            starts[i] += peak[0]
+    return starts, peak[0] + peak[1]
 
 
 @numba.njit(cache=True)

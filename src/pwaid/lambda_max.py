@@ -23,7 +23,7 @@ import numpy as np
 from scipy import linalg
 
 from pwaid.engine import kernels
-from pwaid.engine.interior import SHIFTS, Direction, InteriorState, Operators, Progress, advance
+from pwaid.engine.interior import Direction, InteriorState, Operators, Progress, advance
 from pwaid.errors import InputError, SolverError
 from pwaid.problem import HingeProblem
 
@@ -33,6 +33,9 @@ __all__ = ["LambdaMax", "lambda_max"]
 USELESS = 1e-2
 MAX_ITERATIONS = 60
 STEPS_WITHOUT_GAIN = 8
+# Solves that make an upper bound exact: at most this many; what is left is charged with this times ‖v‖_∞.
+REFINEMENTS = 5
+GENEROUS = 2.0
 # The first λ, as a multiple of the bound that the least-squares z gives.
 FIRST = 1.5
 
@@ -114,11 +117,11 @@ def _bounds(ops: Operators, affine: np.ndarray, norms: np.ndarray, tol: float) -
             break
         progress = advance(direction)
         state, before = progress.state, upper - lower
-        upper = min(upper, _upper(ops, progress, direction.spring))
         v = state.v - affine @ (affine.T @ state.v)
         spent = float(np.abs(ops.F @ v).sum())
         if np.isfinite(spent) and spent > 0.0:
             lower = max(lower, float(ops.c @ v) / spent)
+            upper = min(upper, _upper(ops, progress, GENEROUS * float(np.abs(v).max()) / spent, tol))
         idle = 0 if upper - lower < 0.99 * before else idle + 1
         if upper - lower <= tol * upper or idle >= STEPS_WITHOUT_GAIN:
             break
@@ -128,9 +131,7 @@ def _bounds(ops: Operators, affine: np.ndarray, norms: np.ndarray, tol: float) -
 def _factorise(ops: Operators, D: np.ndarray, held: np.ndarray) -> float | None:
     """Factorise FᵀDF with springs as stiff as its rows at the held vertices; the stiffness, None on breakdown."""
     spring = float(D @ np.asarray(ops.F.multiply(ops.F).sum(axis=1)).ravel()) / held.size
-    if any(ops.K.factorise(D, shift=shift, diagonal=spring * held) for shift in SHIFTS):
-        return spring
-    return None
+    return spring if ops.factorise(D, spring * held) else None
 
 
 def _start(ops: Operators, held: np.ndarray, weights: np.ndarray) -> tuple[InteriorState, float]:
@@ -150,12 +151,20 @@ def _begin(ops: Operators, s: InteriorState, held: np.ndarray) -> _BorderedDirec
     return None if spring is None else _BorderedDirection(ops, s, D, spring)
 
 
-def _upper(ops: Operators, progress: Progress, spring: float) -> float:
-    """‖z‖_∞ after z was made to fulfil Fᵀz = c by solves with the last factorisation."""
-    z = progress.state.nu
-    for _ in range(2):
-        z = z + progress.weights * (ops.F @ ops.K.solve(ops.c - ops.FT @ z))
-    return float(np.abs(z).max())
+def _upper(ops: Operators, progress: Progress, reach: float, tol: float) -> float:
+    """A bound from a z with Fᵀz = c, found by refining the iterate's with the last factorisation.
+
+    What z still lacks, r = c − Fᵀz, is charged with ‖r‖₁ times `reach`, a generous bound of ‖v‖_∞ where ‖F v‖₁ = 1.
+    """
+    z, bound = progress.state.nu, np.inf
+    left = ops.c - ops.FT @ z
+    for _ in range(REFINEMENTS):
+        z = z + progress.weights * (ops.F @ ops.K.solve(left))
+        left = ops.c - ops.FT @ z
+        before, bound = bound, min(bound, float(np.abs(z).max() + reach * np.abs(left).sum()))
+        if bound > (1.0 - 0.01 * tol) * before:
+            break
+    return bound
 
 
 class _BorderedDirection(Direction):
@@ -174,15 +183,10 @@ class _BorderedDirection(Direction):
         ops, s = self.ops, self.state
         return ops.c - ops.FT @ s.nu, s.p - s.q - ops.F @ s.v
 
-    def add(self, ra, rb, rd=None, rp=None) -> None:
-        ops, s = self.ops, self.state
+    def plus(self, ra, rb, rd=None, rp=0.0) -> Direction:
+        s = self.state
         missing = 0.0 if rd is None else 1.0 - float(s.p.sum() + s.q.sum())
-        g = kernels.reduce(self.D, np.zeros_like(ra) if rp is None else rp, ra, rb, s.nu, s.lam)
-        right = ops.FT @ g
-        v = ops.K.solve(right if rd is None else rd + right)
-        z = self.D * (ops.F @ v) - g
+        v, z = self._solved(ra, rb, rd, rp)
         drive = float((ra / (s.lam - s.nu) + rb / (s.lam + s.nu)).sum() + self.e @ z) - missing
         dlam = drive / self.stiffness
-        self.dv += v - dlam * self.v_lam
-        self.dlam += dlam
-        kernels.expand(z + dlam * self.z_lam, dlam, ra, rb, s.p, s.q, s.nu, s.lam, self.dnu, self.dp, self.dq)
+        return self._moved(v - dlam * self.v_lam, z + dlam * self.z_lam, dlam, ra, rb)

@@ -303,18 +303,34 @@ class HingeProblem:
         lam : float
             λ > 0.
         """
-        primal = self.objective(values, lam)
+        move = dual_values - self.affine_values
+        image = self.H @ move
+        left_over = self.c - image - self.F.T @ nu
+        reach = np.abs(values - self.affine_values).max(initial=0.0)
+        return Certificate(self.objective(values, lam), self.dual_bound(move, image, left_over, nu, reach, lam))
+
+    def dual_bound(
+        self, move: np.ndarray, image: np.ndarray, left_over: np.ndarray, nu: np.ndarray, reach: float, lam: float
+    ) -> float:
+        """The certificate's D for a pair (v, ν), from products at hand.
+
+        Parameters
+        ----------
+        move, image, left_over : ndarray, shape (n_points,)
+            v − ŷ_aff, H (v − ŷ_aff), and c − H (v − ŷ_aff) − Fᵀν with c relative to the affine fit.
+        nu : ndarray, shape (n_hinges,)
+        reach : float
+            ‖ŷ − ŷ_aff‖_∞ of the point judged.
+        lam : float
+        """
         largest = np.abs(nu).max(initial=0.0)
         t = 1.0 if largest <= lam else lam / largest
-        move = dual_values - self.affine_values
         c, centred = self._centred
-        image = self.H @ move
         rr = max(0.0, centred - 2.0 * float(c @ move) + float(move @ image))
         yr = centred - float(c @ move)
-        left_over = c - image - self.F.T @ nu
-        reach = max(np.abs(move).max(initial=0.0), np.abs(values - self.affine_values).max(initial=0.0), centred**0.5)
+        reach = max(np.abs(move).max(initial=0.0), reach, centred**0.5)
         charge = float(np.abs(left_over).sum() * reach) + lam * self._affine_leak
-        return Certificate(primal, max(0.0, t * yr - 0.5 * t * t * rr - t * charge))
+        return max(0.0, t * yr - 0.5 * t * t * rr - t * charge)
 
     def certify(
         self, values: np.ndarray, nu: np.ndarray, lam: float, *, weights: np.ndarray | None = None

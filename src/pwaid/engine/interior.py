@@ -19,6 +19,7 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -29,8 +30,10 @@ from pwaid.problem import HingeProblem
 
 __all__ = [
     "Direction",
+    "DualPoint",
     "InteriorState",
     "Operators",
+    "Point",
     "Progress",
     "advance",
     "begin_direction",
@@ -40,17 +43,21 @@ __all__ = [
 ]
 
 # Gondzio's correctors: how many at most, how much longer a step each tries, which products it leaves alone.
-CORRECTORS = 4
+CORRECTORS = 8
 STRETCH = 0.2
-LOW, HIGH = 0.5, 10.0
+LOW, HIGH = 0.2, 10.0
 LEAST_GAIN = 0.01
 TO_BOUNDARY = 0.99
 GOOD_STEP = 0.95
 LEAST_TARGET = 1e-6
+# The target μ is this fraction of Mehrotra's: the correctors make up for it.
+AMBITION = 0.5
 # Solves that make a dual point fulfil its equation: at most this many.
 REFINEMENTS = 3
 # λ − |ν| stays above this fraction of λ, so that rounding never makes it 0.
 CLEARANCE = 1e-15
+# From this many operations a factorisation on, single precision is faster: below, calls and copies take the time.
+SINGLE_PAYS = 2e8
 # Diagonal shifts tried, as fractions of the diagonal, when rounding makes a factorisation break down.
 SHIFTS = (0.0, 1e-14, 1e-12, 1e-10, 1e-8)
 
@@ -72,19 +79,47 @@ class InteriorState:
 
 
 @dataclass(frozen=True, eq=False)
+class Point:
+    """At an iterate: Hv, c − Hv − Fᵀν, and Fv."""
+
+    image: np.ndarray
+    left_over: np.ndarray
+    hinges: np.ndarray
+
+
+@dataclass(eq=False)
 class Operators:
-    """What every λ of a problem shares."""
+    """What every λ of a problem shares, and the precision in which this solve factorises."""
 
     F: sparse.csr_matrix
     FT: sparse.csr_matrix
     H: sparse.csr_matrix
     c: np.ndarray
     K: NormalMatrix
+    single: bool
+    _seen: tuple | None = None
 
     @classmethod
     def of(cls, problem: HingeProblem) -> Operators:
         """The problem's own matrices, in the forms that multiply fast."""
-        return cls(problem.F, problem.F.T.tocsr(), problem.H.tocsr(), problem.c, problem.normal_matrix)
+        K = problem.normal_matrix
+        return cls(problem.F, problem.F.T.tocsr(), problem.H.tocsr(), problem.c, K, K.tree.flops > SINGLE_PAYS)
+
+    def at(self, state: InteriorState) -> Point:
+        """The products at an iterate, computed once."""
+        if self._seen is None or self._seen[0] is not state:
+            image = self.H @ state.v
+            point = Point(image, self.c - image - self.FT @ state.nu, self.F @ state.v)
+            self._seen = (state, point)
+        return self._seen[1]
+
+    def factorise(self, D: np.ndarray, diagonal: np.ndarray | None = None) -> bool:
+        """Factorise in single precision for as long as that is good enough, then in double; whether it worked."""
+        if self.single:
+            if self.K.factorise(D, diagonal=diagonal, single=True):
+                return True
+            self.single = False
+        return any(self.K.factorise(D, shift=shift, diagonal=diagonal) for shift in SHIFTS)
 
 
 @dataclass(frozen=True)
@@ -118,96 +153,103 @@ class Direction:
     def __init__(self, ops: Operators, state: InteriorState, D: np.ndarray):
         self.ops, self.state, self.D = ops, state, D
         self.dv = np.zeros_like(state.v)
-        self.dp, self.dq, self.dnu = (np.zeros_like(state.nu) for _ in range(3))
-        self.dlam = 0.0
+        self.rows = np.zeros((3, state.nu.size))
+        self.dlam, self.longest = 0.0, np.inf
 
     def residuals(self) -> tuple[np.ndarray, np.ndarray]:
         """What the iterate lacks in c = Hv + Fᵀν and in Fv = p − q."""
-        ops, s = self.ops, self.state
-        return ops.c - ops.H @ s.v - ops.FT @ s.nu, s.p - s.q - ops.F @ s.v
+        point = self.ops.at(self.state)
+        return point.left_over, self.state.p - self.state.q - point.hinges
 
-    def add(self, ra: np.ndarray, rb: np.ndarray, rd: np.ndarray | None = None, rp: np.ndarray | None = None) -> None:
-        """Add the direction of a right-hand side; no rd, rp: zero."""
+    def plus(self, ra: np.ndarray, rb: np.ndarray, rd: np.ndarray | None = None, rp: Any = 0.0) -> Direction:
+        """This direction and that of a right-hand side; no rd, rp: zero."""
+        dv, dnu = self._solved(ra, rb, rd, rp)
+        return self._moved(dv, dnu, 0.0, ra, rb)
+
+    def _solved(self, ra, rb, rd, rp) -> tuple[np.ndarray, np.ndarray]:
+        """Δv and Δν of a right-hand side for Δλ = 0."""
         ops, s = self.ops, self.state
-        g = kernels.reduce(self.D, np.zeros_like(ra) if rp is None else rp, ra, rb, s.nu, s.lam)
+        g = kernels.reduce(self.D, rp, ra, rb, s.nu, s.lam)
         right = ops.FT @ g
         dv = ops.K.solve(right if rd is None else rd + right)
-        self.dv += dv
-        kernels.expand(
-            self.D * (ops.F @ dv) - g, 0.0, ra, rb, s.p, s.q, s.nu, s.lam, self.dnu, self.dp, self.dq
-        )
+        return dv, kernels.multiplier_step(ops.F.indptr, ops.F.indices, ops.F.data, dv, self.D, g)
 
-    def copy(self) -> Direction:
-        """A copy that can grow on its own."""
-        other = copy.copy(self)
-        other.dv, other.dp, other.dq, other.dnu = (x.copy() for x in (self.dv, self.dp, self.dq, self.dnu))
-        return other
+    def _moved(self, dv, dnu, dlam, ra, rb) -> Direction:
+        s, out = self.state, copy.copy(self)
+        out.dv, out.dlam = self.dv + dv, self.dlam + dlam
+        out.rows, out.longest = kernels.expand(dnu, dlam, ra, rb, s.p, s.q, s.nu, s.lam, self.rows, self.dlam)
+        return out
 
     @property
     def parts(self) -> tuple:
         """What the kernels take of iterate and direction."""
         s = self.state
-        return s.p, s.q, s.nu, s.lam, self.dp, self.dq, self.dnu, self.dlam
-
-    @property
-    def longest(self) -> float:
-        """The longest step that stays inside."""
-        return float(kernels.longest_step(*self.parts))
+        return s.p, s.q, s.nu, s.lam, *self.rows, self.dlam
 
     def taken(self, step: float) -> InteriorState:
         """The iterate after the step."""
-        s = self.state
+        s, (dp, dq, dnu) = self.state, self.rows
         lam = s.lam + step * self.dlam
         inside = lam * (1.0 - CLEARANCE)
-        nu = np.clip(s.nu + step * self.dnu, -inside, inside)
-        return InteriorState(s.v + step * self.dv, s.p + step * self.dp, s.q + step * self.dq, nu, lam)
+        nu = np.clip(s.nu + step * dnu, -inside, inside)
+        return InteriorState(s.v + step * self.dv, s.p + step * dp, s.q + step * dq, nu, lam)
 
 
 def advance(direction: Direction) -> Progress:
     """One iteration over a fresh factorisation: predict, correct, centre, step."""
     s = direction.state
-    direction.add(-s.p * (s.lam - s.nu), -s.q * (s.lam + s.nu), *direction.residuals())
+    ra, rb = np.empty_like(s.nu), np.empty_like(s.nu)
+    kernels.products(s.p, s.q, s.nu, s.lam, ra, rb)
+    direction = direction.plus(ra, rb, *direction.residuals())
     mu, alpha = s.mu, min(1.0, direction.longest)
     after = kernels.trial(*direction.parts, alpha)
-    target = mu * min(1.0, max(LEAST_TARGET, (after / mu) ** 3))
-    ra, rb = np.empty_like(s.nu), np.empty_like(s.nu)
-    kernels.second_order(direction.dp, direction.dq, direction.dnu, direction.dlam, target, ra, rb)
-    direction.add(ra, rb)
-    alpha = direction.longest
+    target = mu * min(1.0, max(LEAST_TARGET, AMBITION * (after / mu) ** 3))
+    kernels.second_order(*direction.rows, direction.dlam, target, ra, rb)
+    direction = direction.plus(ra, rb)
     for _ in range(CORRECTORS):
+        alpha = direction.longest
         if alpha >= GOOD_STEP:
             break
         kernels.centrality_targets(*direction.parts, min(1.0, alpha + STRETCH), target, LOW, HIGH, ra, rb)
-        better = direction.copy()
-        better.add(ra, rb)
-        longer = better.longest
-        gain = longer - alpha
+        better = direction.plus(ra, rb)
+        gain = better.longest - alpha
         if gain > 0.0:
-            direction, alpha = better, longer
+            direction = better
         if gain < LEAST_GAIN:
             break
-    step = min(1.0, TO_BOUNDARY * alpha)
+    step = min(1.0, TO_BOUNDARY * direction.longest)
     return Progress(direction.taken(step), direction.D, step)
 
 
 def begin_direction(ops: Operators, s: InteriorState) -> Direction | None:
     """Factorise for an iterate; None when rounding makes every try break down."""
     D = kernels.weights(s.p, s.q, s.nu, s.lam)
-    if any(ops.K.factorise(D, shift=shift) for shift in SHIFTS):
-        return Direction(ops, s, D)
-    return None
+    return Direction(ops, s, D) if ops.factorise(D) else None
 
 
-def dual_point(ops: Operators, progress: Progress, negligible: float) -> tuple[np.ndarray, np.ndarray]:
-    """(v, ν) near the iterate with ‖c − Hv − Fᵀν‖₁ ≤ negligible if rounding allows, by the last factorisation."""
+@dataclass(frozen=True, eq=False)
+class DualPoint:
+    """A pair (v, ν), v relative to the affine fit, with Hv and what it lacks in c = Hv + Fᵀν."""
+
+    v: np.ndarray
+    nu: np.ndarray
+    image: np.ndarray
+    left_over: np.ndarray
+
+
+def dual_point(ops: Operators, progress: Progress, negligible: float) -> DualPoint:
+    """A pair near the iterate that lacks `negligible` (1-norm) at most, if rounding allows; by the last factors."""
     v, nu = progress.state.v, progress.state.nu
+    point = ops.at(progress.state)
+    image, residual = point.image, point.left_over
     left = np.inf
     for _ in range(REFINEMENTS):
-        residual = ops.c - ops.H @ v - ops.FT @ nu
         size = float(np.abs(residual).sum())
         if size > 0.5 * left or size <= negligible:
             break
         left = size
         delta = ops.K.solve(residual)
         v, nu = v + delta, nu + progress.weights * (ops.F @ delta)
-    return v, nu
+        image = ops.H @ v
+        residual = ops.c - image - ops.FT @ nu
+    return DualPoint(v, nu, image, residual)

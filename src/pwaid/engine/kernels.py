@@ -13,7 +13,8 @@ __all__ = [
     "centrality_targets",
     "complementarity",
     "expand",
-    "longest_step",
+    "multiplier_step",
+    "products",
     "reduce",
     "second_order",
     "trial",
@@ -43,31 +44,59 @@ def complementarity(p, q, nu, lam):
 
 
 @_compiled
+def products(p, q, nu, lam, ra, rb):
+    """The right-hand sides that aim at products of 0."""
+    for i in range(p.size):
+        ra[i] = -p[i] * (lam - nu[i])
+        rb[i] = -q[i] * (lam + nu[i])
+
+
+@_compiled
 def reduce(D, rp, ra, rb, nu, lam):
-    """D (rp + ra/a − rb/b), the hinges' part of the right-hand side."""
+    """D (rp + ra/a − rb/b), the hinges' part of the right-hand side; rp may be a number."""
     out = np.empty_like(D)
+    rp = np.broadcast_to(np.asarray(rp), D.shape)
     for i in range(D.size):
         out[i] = D[i] * (rp[i] + ra[i] / (lam - nu[i]) - rb[i] / (lam + nu[i]))
     return out
 
 
 @_compiled
-def expand(step, dlam, ra, rb, p, q, nu, lam, dnu, dp, dq):
-    """Add a step in ν (and in λ), and what follows for p and q, to dnu, dp, dq."""
-    for i in range(step.size):
-        dnu[i] += step[i]
-        dp[i] += (ra[i] - p[i] * (dlam - step[i])) / (lam - nu[i])
-        dq[i] += (rb[i] - q[i] * (dlam + step[i])) / (lam + nu[i])
+def multiplier_step(indptr, indices, data, dv, D, g):
+    """Δν = D F Δv − g, F in compressed rows."""
+    out = np.empty_like(D)
+    for i in range(D.size):
+        total = 0.0
+        for t in range(indptr[i], indptr[i + 1]):
+            total += data[t] * dv[indices[t]]
+        out[i] = D[i] * total - g[i]
+    return out
 
 
 @_compiled
-def longest_step(p, q, nu, lam, dp, dq, dnu, dlam):
-    """The largest step that keeps p, q, a and b nonnegative."""
+def expand(step, dlam, ra, rb, p, q, nu, lam, before, dlam_before):
+    """The direction `before` (rows Δp, Δq, Δν) plus a step in ν and λ and what follows for p and q.
+
+    Returns it and the longest step along it that keeps p, q, a and b nonnegative.
+    """
+    out = np.empty_like(before)
     rate = 1e-300
-    for i in range(p.size):
-        rate = max(rate, -dp[i] / p[i], -dq[i] / q[i])
-        rate = max(rate, (dnu[i] - dlam) / (lam - nu[i]), -(dnu[i] + dlam) / (lam + nu[i]))
-    return 1.0 / rate
+    total = dlam_before + dlam
+    for i in range(step.size):
+        a, b = lam - nu[i], lam + nu[i]
+        dp = before[0, i] + (ra[i] - p[i] * (dlam - step[i])) / a
+        dq = before[1, i] + (rb[i] - q[i] * (dlam + step[i])) / b
+        dnu = before[2, i] + step[i]
+        out[0, i], out[1, i], out[2, i] = dp, dq, dnu
+        if -dp > rate * p[i]:
+            rate = -dp / p[i]
+        if -dq > rate * q[i]:
+            rate = -dq / q[i]
+        if dnu - total > rate * a:
+            rate = (dnu - total) / a
+        if -dnu - total > rate * b:
+            rate = (-dnu - total) / b
+    return out, 1.0 / rate
 
 
 @_compiled

@@ -8,9 +8,19 @@ from typing import Any
 
 import numpy as np
 
-from pwaid.engine.interior import InteriorState, Operators, advance, begin_direction, cold_start, dual_point, shifted
+from pwaid.engine.interior import (
+    DualPoint,
+    InteriorState,
+    Operators,
+    Point,
+    advance,
+    begin_direction,
+    cold_start,
+    dual_point,
+    shifted,
+)
 from pwaid.errors import InputError
-from pwaid.problem import HingeProblem
+from pwaid.problem import Certificate, HingeProblem
 from pwaid.solution import Solution, Status, affine_solution
 
 __all__ = ["solve_engine"]
@@ -74,10 +84,10 @@ def solve_engine(
             break
         progress = advance(direction)
         state = progress.state
-        best.see(state.v, *dual_point(ops, progress, best.negligible(tol)))
+        best.see(state.v, ops.at(state), dual_point(ops, progress, best.negligible(tol)))
         if kept is None and best.remaining <= KEEP_AT:
             kept = state
-        if best.gap <= tol:
+        if best.gap <= tol and best.certificate.gap <= tol:
             status = Status.SOLVED
             break
         if best.steps_without_gain >= STEPS_WITHOUT_GAIN:
@@ -136,17 +146,24 @@ class _Best:
         reach = max(np.sqrt(2.0 * self.problem.affine_loss), float(np.abs(self.values - self.affine).max()))
         return 0.01 * tol * self.primal / reach
 
-    def see(self, v: np.ndarray, dual_v: np.ndarray, nu: np.ndarray) -> None:
-        before = self.gap
-        found = self.problem.certificate(self.affine + v, self.affine + dual_v, nu, self.lam)
-        if found.primal < self.primal:
-            self.primal, self.values = found.primal, self.affine + v
-        if found.dual > self.dual:
-            self.dual, self.dual_values, self.nu = found.dual, self.affine + dual_v, nu
+    def see(self, v: np.ndarray, at: Point, dual: DualPoint) -> None:
+        before, problem = self.gap, self.problem
+        loss = problem.affine_loss - float(problem.c @ v) + 0.5 * float(v @ at.image)
+        primal = loss + self.lam * float(np.abs(at.hinges).sum())
+        if primal < self.primal:
+            self.primal, self.values = primal, self.affine + v
+        reach = float(np.abs(self.values - self.affine).max())
+        bound = problem.dual_bound(dual.v, dual.image, dual.left_over, dual.nu, reach, self.lam)
+        if bound > self.dual:
+            self.dual, self.dual_values, self.nu = bound, self.affine + dual.v, dual.nu
         self.steps_without_gain = 0 if self.gap < 0.99 * before else self.steps_without_gain + 1
 
+    @property
+    def certificate(self) -> Certificate:
+        return self.problem.certificate(self.values, self.dual_values, self.nu, self.lam)
+
     def solution(self, iterations: int, began: float, status: Status, state: Any, message: str) -> Solution:
-        certificate = self.problem.certificate(self.values, self.dual_values, self.nu, self.lam)
+        certificate = self.certificate
         return Solution(
             values=self.values.copy(), lam=self.lam, objective=certificate.primal, gap=certificate.gap, status=status,
             iterations=iterations, seconds=time.perf_counter() - began, method="engine", nu=self.nu.copy(),
