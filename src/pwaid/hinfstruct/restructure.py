@@ -133,7 +133,8 @@ def restructure(
         The last stage. "bundle" is the paper's (L-BFGS, then proximity-control bundle); "prox-linear" keeps
         the spectral norm exact and is usually faster and no worse.
     restarts : int
-        Further starts: the best theta so far with every entry changed by up to ``perturbation``, relative.
+        Further starts: the best theta so far with every entry changed by up to ``perturbation``, relative. Six are
+        tried unasked where every start ended in an unstable model.
     max_iterations : int, optional
         Of the nonsmooth stage (default 300 bundle, 80 prox-linear).
     match_static_gain : bool
@@ -158,9 +159,9 @@ def restructure(
     rng = np.random.default_rng(rng)
     candidates = _descend(fitted, _starts(model, fitted.targets[0], start, rng))
     best = min(candidates, key=lambda c: c.value)
+    if not np.isfinite(best.value):
+        best, restarts = candidates[0], max(restarts, RESCUES)
     if restarts:
-        if not np.isfinite(best.value):
-            best = candidates[0]
         shaken = [
             (
                 f"restart {k + 1}", best.theta * (1 + perturbation * rng.uniform(-1, 1, model.size))
@@ -226,6 +227,9 @@ def restructure_path(
         if best is not None and best.value < 0.98 * result.value:
             results[i] = _finish(*problems[i], found[i] + fresh, method, max_iterations, i)
     return results
+
+
+RESCUES = 6  # restarts that are tried unasked where every start ends in an unstable model
 
 
 def _check_method(method: str) -> None:
