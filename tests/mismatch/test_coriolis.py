@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from pwaid.mismatch.effects.registry import effect_by_id
-from pwaid.mismatch.inertia import shown_inertia
+from pwaid.mismatch.inertia import _is_inertia, shown_inertia
 from pwaid.mismatch.plant import as_plant
 from pwaid.mismatch.probing import find_structure
 from pwaid.mismatch.screen import locate_effects
@@ -109,3 +109,8 @@ def test_products_of_speeds_remain_in_the_catalogue_for_two_axes():
               if e.effect.quantities[0].size != "1"]
     assert {"v0", "v1"} <= {v for p in places for v in p.variables}
     assert any("sin(q1)" in p.variables for p in places)
+
+
+def test_a_singular_coupling_is_no_inertia():
+    assert not _is_inertia(np.ones((3, 2, 2)))
+    assert _is_inertia(np.tile([[2.0, 1.0], [1.0, 2.0]], (3, 1, 1)))
