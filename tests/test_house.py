@@ -22,6 +22,7 @@ ORDER = [
     ["delaunay"],
     ["lerp"],
     ["assembly"],
+    ["fronts"],
     ["dissection"],
     ["cholesky"],
     ["problem"],
