@@ -15,6 +15,7 @@ SOURCE = Path(pwaid.__file__).parent
 ORDER = [
     ["_version"],
     ["errors"],
+    ["tables"],
     ["recording"],
     ["vertices"],
     ["walk"],
