@@ -18,6 +18,7 @@ ORDER = [
     ["tables"],
     ["recording"],
     ["vertices"],
+    ["scaling"],
     ["walk"],
     ["triangulation"],
     ["delaunay"],
