@@ -206,7 +206,7 @@ class _HeldOut:
 
 
 def _solve_grid(problem, grid, tol, method, mesh, warm_start, progress) -> list[Solution]:
-    """A solution for each λ, each started from the last that left a state."""
+    """A solution for each λ, with warm_start each from the last one that left a state."""
     solutions: list[Solution] = []
     state = None
     for i, lam in enumerate(grid):
