@@ -56,6 +56,31 @@ def test_a_diagonal_takes_the_place_of_H():
     assert K.solve(b) == pytest.approx(np.full(problem.n_points, 0.5), rel=1e-9)  # F annihilates constants
 
 
+def test_single_precision_solves_to_its_own_accuracy_and_leaves_the_double_one_alone():
+    problem, mesh = make(2, 200)
+    K = NormalMatrix(problem.H, problem.F, mesh.normalised)
+    weights = 1.0 / problem.row_norms**2
+    # A diagonal as heavy as that of FᵀDF keeps the scaled matrix well conditioned: what is left is rounding alone.
+    heavy = np.asarray(problem.F.multiply(problem.F).T @ weights).ravel()
+    H = sparse.diags_array(heavy)
+    assert K.factorise(weights, diagonal=heavy, single=True)
+    rounding = left_of_b(K, H, problem.F, weights, np.random.default_rng(0))
+    assert 10 * np.finfo(float).eps < rounding < 100 * np.finfo(np.float32).eps
+    assert K.factorise(weights, diagonal=heavy)
+    assert left_of_b(K, H, problem.F, weights, np.random.default_rng(0)) < 100 * np.finfo(float).eps
+
+
+def test_single_precision_says_when_it_is_not_enough():
+    problem, mesh = make(2, 200)
+    K = NormalMatrix(problem.H, problem.F, mesh.normalised)
+    weights = 1.0 / problem.row_norms**2
+    # FᵀDF annihilates affine functions; 1e-9 of its diagonal cures that in double precision (eps 2e-16), not in
+    # single (6e-8).
+    slight = 1e-9 * np.asarray(problem.F.multiply(problem.F).T @ weights).ravel()
+    assert not K.factorise(weights, diagonal=slight, single=True)
+    assert K.factorise(weights, diagonal=slight)
+
+
 def test_breakdown_is_reported_and_a_shift_cures_it():
     problem, mesh = make(2, 100)
     K = NormalMatrix(problem.H, problem.F, mesh.normalised)
