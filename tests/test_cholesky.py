@@ -18,12 +18,11 @@ def make(d, n, N=200, seed=0):
     return HingeProblem.from_data(mesh, X, rng.standard_normal(N)), mesh
 
 
-def check(K, H, F, weights, rng):
-    assert K.factorise(weights)
+def left_of_b(K, H, F, weights, rng):
+    """What a solve with the last factorisation leaves of a random right-hand side, as a fraction of it."""
     b = rng.standard_normal(F.shape[1])
     full = H + F.T @ sparse.diags_array(weights) @ F
-    x = K.solve(b)
-    assert np.linalg.norm(full @ x - b) <= 1e-8 * np.linalg.norm(b)
+    return np.linalg.norm(full @ K.solve(b) - b) / np.linalg.norm(b)
 
 
 @pytest.mark.parametrize("with_coordinates", [True, False])
@@ -34,7 +33,8 @@ def test_solves_for_one_diagonal_after_another(d, n, with_coordinates):
     K = NormalMatrix(problem.H, problem.F, mesh.normalised if with_coordinates else None)
     for spread in (0, 3):
         weights = 10.0 ** rng.uniform(-spread, spread, problem.n_hinges) / problem.row_norms**2
-        check(K, problem.H, problem.F, weights, rng)
+        assert K.factorise(weights)
+        assert left_of_b(K, problem.H, problem.F, weights, rng) <= 1e-8
 
 
 def test_parts_that_do_not_touch():
@@ -42,7 +42,9 @@ def test_parts_that_do_not_touch():
     F = sparse.block_diag([problem.F, problem.F]).tocsr()
     H = sparse.block_diag([problem.H, problem.H]).tocsr()
     weights = 1.0 / np.tile(problem.row_norms, 2) ** 2
-    check(NormalMatrix(H, F), H, F, weights, np.random.default_rng(0))
+    K = NormalMatrix(H, F)
+    assert K.factorise(weights)
+    assert left_of_b(K, H, F, weights, np.random.default_rng(0)) <= 1e-8
 
 
 def test_a_diagonal_takes_the_place_of_H():
@@ -52,6 +54,31 @@ def test_a_diagonal_takes_the_place_of_H():
     assert K.factorise(weights, diagonal=np.full(problem.n_points, 2.0))
     b = np.ones(problem.n_points)
     assert K.solve(b) == pytest.approx(np.full(problem.n_points, 0.5), rel=1e-9)  # F annihilates constants
+
+
+def test_single_precision_solves_to_its_own_accuracy_and_leaves_the_double_one_alone():
+    problem, mesh = make(2, 200)
+    K = NormalMatrix(problem.H, problem.F, mesh.normalised)
+    weights = 1.0 / problem.row_norms**2
+    # A diagonal as heavy as that of FᵀDF keeps the scaled matrix well conditioned: what is left is rounding alone.
+    heavy = np.asarray(problem.F.multiply(problem.F).T @ weights).ravel()
+    H = sparse.diags_array(heavy)
+    assert K.factorise(weights, diagonal=heavy, single=True)
+    rounding = left_of_b(K, H, problem.F, weights, np.random.default_rng(0))
+    assert 10 * np.finfo(float).eps < rounding < 100 * np.finfo(np.float32).eps
+    assert K.factorise(weights, diagonal=heavy)
+    assert left_of_b(K, H, problem.F, weights, np.random.default_rng(0)) < 100 * np.finfo(float).eps
+
+
+def test_single_precision_says_when_it_is_not_enough():
+    problem, mesh = make(2, 200)
+    K = NormalMatrix(problem.H, problem.F, mesh.normalised)
+    weights = 1.0 / problem.row_norms**2
+    # FᵀDF annihilates affine functions; 1e-9 of its diagonal cures that in double precision (eps 2e-16), not in
+    # single (6e-8).
+    slight = 1e-9 * np.asarray(problem.F.multiply(problem.F).T @ weights).ravel()
+    assert not K.factorise(weights, diagonal=slight, single=True)
+    assert K.factorise(weights, diagonal=slight)
 
 
 def test_breakdown_is_reported_and_a_shift_cures_it():

@@ -4,12 +4,14 @@ import pickle
 
 import numpy as np
 import pytest
+from scipy import sparse
+from scipy.optimize import linprog
 
 from pwaid.admm import solve_admm
 from pwaid.delaunay import SimplexMesh
 from pwaid.errors import InputError
 from pwaid.lambda_max import LambdaMax, lambda_max
-from pwaid.lerp import WEIGHTINGS
+from pwaid.lerp import WEIGHTINGS, hinge_matrix, interpolation_matrix
 from pwaid.problem import HingeProblem
 
 
@@ -40,6 +42,37 @@ def test_bounds_hold_against_the_solver(d):
     assert flat.objective == pytest.approx(problem.affine_loss, rel=1e-6)
     bent = solve_admm(problem, 0.9 * found.lower, tol=1e-7, max_iterations=20000)
     assert bent.objective < problem.affine_loss * (1 - 1e-5)
+
+
+def lp_value(mesh, X, y):
+    """min t subject to Fᵀz = c, −t ≤ z ≤ t by HiGHS, c from a plain least-squares fit (2014 eq. 13–15)."""
+    A, F = interpolation_matrix(mesh, X), hinge_matrix(mesh)
+    affine = np.column_stack([np.ones(len(X)), X])
+    c = A.T @ (y - affine @ np.linalg.lstsq(affine, y, rcond=None)[0])
+    size, m = np.linalg.norm(c), F.shape[0]
+    cost = np.append(np.zeros(m), 1.0)
+    equal = sparse.hstack([F.T, sparse.csr_array((F.shape[1], 1))])
+    t = np.ones((m, 1))
+    box = sparse.vstack([sparse.hstack([sparse.eye_array(m), -t]), sparse.hstack([-sparse.eye_array(m), -t])])
+    found = linprog(
+        cost, A_ub=box, b_ub=np.zeros(2 * m), A_eq=equal, b_eq=c / size, bounds=(None, None), method="highs-ds",
+        options={"primal_feasibility_tolerance": 1e-9, "dual_feasibility_tolerance": 1e-9},
+    )  # fmt: skip
+    assert found.status == 0, found.message
+    return found.fun * size
+
+
+@pytest.mark.parametrize(("d", "n", "N"), [(1, 40, 200), (2, 60, 300), (3, 40, 200)])
+def test_bounds_hold_the_value_of_the_linear_programme(d, n, N):
+    rng = np.random.default_rng(4)
+    mesh = SimplexMesh.uniform([[-1.0, 1.0]] * d, n, rng)
+    X = rng.uniform(-1, 1, (N, d))
+    y = np.abs(X).sum(axis=1) + 0.1 * rng.standard_normal(N)
+    value, found = lp_value(mesh, X, y), lambda_max(HingeProblem.from_data(mesh, X, y))
+    judge = 1e-7  # relative; what HiGHS may be off by
+    assert found.lower <= value * (1 + judge)
+    assert found.upper >= value * (1 - judge)
+    assert found.width <= 1e-5
 
 
 def test_follows_the_scale_of_y():

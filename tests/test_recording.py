@@ -7,7 +7,8 @@ import pytest
 from scipy.io import savemat
 
 from pwaid import InputError, Recording
-from pwaid.recording import check_samples, read_table
+from pwaid.recording import check_samples
+from pwaid.tables import read_table
 
 T = np.arange(10) * 0.1
 

@@ -17,7 +17,7 @@ True
 from typing import Any
 
 from pwaid._version import __version__
-from pwaid.delaunay import MeshQuality, Scaling, SimplexMesh
+from pwaid.delaunay import MeshQuality, SimplexMesh
 from pwaid.dynamics import NARX, PWASystem
 from pwaid.errors import InputError, MissingExtraError, OutsideMeshError, PwaidError, SolverError
 from pwaid.estimator import PWARegressor
@@ -28,6 +28,7 @@ from pwaid.path import cross_validate, solve_path
 from pwaid.problem import HingeProblem
 from pwaid.pwa_map import PWAMap
 from pwaid.recording import Recording
+from pwaid.scaling import Scaling
 from pwaid.solution import Path, Solution, Status
 from pwaid.solve import solve
 from pwaid.sqrt_loss import solve_sqrt

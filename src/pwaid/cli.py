@@ -23,8 +23,9 @@ from pwaid.errors import InputError, PwaidError
 from pwaid.lerp import WEIGHTINGS
 from pwaid.path import RULES, cross_validate, solve_path
 from pwaid.problem import HingeProblem
-from pwaid.recording import check_samples, read_table
+from pwaid.recording import check_samples
 from pwaid.solution import Path as LambdaPath
+from pwaid.tables import read_table
 
 __all__ = ["main"]
 

@@ -1,8 +1,7 @@
 """Simplex meshes: points, simplices, neighbours, facets, point location, clipping.
 
-A mesh is triangulated in normalised coordinates z = (x − offset) · matrixᵀ, because inputs of different
-physical units have no common length (2011: the units 1.5 A and 35 rad/s; 2014 Example 2: Σ^(−1/2)). Points go in
-and come out in physical units; distances, heights and facet measures are those of the normalised coordinates.
+A mesh is triangulated in the normalised coordinates of `pwaid.scaling`. Points go in and come out in physical units;
+distances, heights and facet measures are those of the normalised coordinates.
 Slivers are handled by the rule in `pwaid.triangulation`; `SimplexMesh.quality` reports what was done.
 """
 
@@ -18,6 +17,7 @@ from scipy.spatial import ConvexHull, cKDTree
 from pwaid import triangulation, vertices, walk
 from pwaid.errors import InputError, OutsideMeshError
 from pwaid.recording import check_finite
+from pwaid.scaling import Scaling
 from pwaid.triangulation import MeshQuality
 
 __all__ = ["Facets", "MeshQuality", "Scaling", "SimplexMesh"]
@@ -25,47 +25,6 @@ __all__ = ["Facets", "MeshQuality", "Scaling", "SimplexMesh"]
 # Coordinates down to minus this count as inside: a point on the hull, after rounding, belongs to the mesh.
 INSIDE_TOLERANCE = 1e-10
 UNTOUCHED = MeshQuality()
-
-
-@dataclass(frozen=True, eq=False)
-class Scaling:
-    """The affine change to normalised coordinates, z = (x − offset) · matrixᵀ."""
-
-    offset: np.ndarray
-    matrix: np.ndarray
-
-    @classmethod
-    def identity(cls, d: int) -> Scaling:
-        """No change."""
-        return cls(np.zeros(d), np.eye(d))
-
-    @classmethod
-    def units(cls, sizes: Any, offset: Any = 0.0) -> Scaling:
-        """Divide each input by a physical unit, e.g. (1.5 A, 35 rad/s) (2011 section V)."""
-        sizes = np.atleast_1d(np.asarray(sizes, dtype=float))
-        if np.any(sizes <= 0) or not np.all(np.isfinite(sizes)):
-            raise InputError(f"units are {sizes.tolist()}; expected positive numbers, one an input")
-        return cls(np.broadcast_to(np.asarray(offset, float), sizes.shape).copy(), np.diag(1.0 / sizes))
-
-    @classmethod
-    def covariance(cls, X: Any) -> Scaling:
-        """Σ^(−1/2) of the data about their mean (2014 Example 2)."""
-        X = vertices.as_points(X, "X")
-        eigenvalues, V = np.linalg.eigh(np.atleast_2d(np.cov(X.T)))
-        if eigenvalues[0] <= 1e-12 * max(eigenvalues[-1], np.finfo(float).tiny):
-            raise InputError(
-                "the inputs are collinear: their covariance is singular (a constant or redundant column); "
-                "leave out the redundant input"
-            )
-        return cls(X.mean(axis=0), (V / np.sqrt(eigenvalues)) @ V.T)
-
-    def apply(self, X: np.ndarray) -> np.ndarray:
-        """Physical to normalised, shape (N, d)."""
-        return (X - self.offset) @ self.matrix.T
-
-    def undo(self, Z: np.ndarray) -> np.ndarray:
-        """Normalised to physical, shape (N, d)."""
-        return np.linalg.solve(self.matrix, Z.T).T + self.offset
 
 
 @dataclass(frozen=True, eq=False)
@@ -175,12 +134,12 @@ class SimplexMesh:
     @classmethod
     def uniform(cls, bounds: Any, n: int, rng: Any = None) -> SimplexMesh:
         """`n` uniform random points in a box, corners included; normalised by the box (2011 section V)."""
-        return cls.from_points(vertices.uniform_points(bounds, n, rng), scaling=_box_scaling(bounds))
+        return cls.from_points(vertices.uniform_points(bounds, n, rng), scaling=Scaling.box(bounds))
 
     @classmethod
     def blue_noise(cls, bounds: Any, n: int, rng: Any = None) -> SimplexMesh:
         """`n` evenly spread points in a box, corners and faces included; normalised by the box."""
-        return cls.from_points(vertices.blue_noise_points(bounds, n, rng), scaling=_box_scaling(bounds))
+        return cls.from_points(vertices.blue_noise_points(bounds, n, rng), scaling=Scaling.box(bounds))
 
     @classmethod
     def gaussian(cls, X: Any, n: int, rng: Any = None) -> SimplexMesh:
@@ -219,7 +178,7 @@ class SimplexMesh:
             raise InputError(f"shape is {counts.tolist()}; expected at least 2 points a dimension")
         axes = [np.linspace(a, b, m) for (a, b), m in zip(box, counts, strict=True)]
         P = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, d)
-        return cls._assemble(P, triangulation.kuhn(counts), _box_scaling(box), UNTOUCHED)
+        return cls._assemble(P, triangulation.kuhn(counts), Scaling.box(box), UNTOUCHED)
 
     # -- shape -----------------------------------------------------------------------------------------------
 
@@ -393,11 +352,6 @@ class SimplexMesh:
         if not keep.any():
             raise InputError("no simplex of the mesh meets the region; expected a region inside the mesh")
         return self._assemble(self.points, self.simplices[keep], self.scaling, self.quality, convex=False)
-
-
-def _box_scaling(bounds: Any) -> Scaling:
-    box = vertices.as_bounds(bounds)
-    return Scaling.units((box[:, 1] - box[:, 0]) / 2, box.mean(axis=1))
 
 
 def _separated(mesh: SimplexMesh, region: np.ndarray) -> np.ndarray:

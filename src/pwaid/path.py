@@ -84,13 +84,10 @@ def solve_path(
     _check_options(rule, method)
     if (X_val is None) != (y_val is None):
         raise InputError("give both X_val and y_val, or neither")
-    judge = None
-    notes: list[str] = []
-    if X_val is not None:
-        if mesh is None:
-            raise InputError("held-out data came without mesh=; pass the problem's mesh to evaluate the maps")
-        judge = _HeldOut(mesh, X_val, y_val)
-        notes += judge.notes
+    if X_val is not None and mesh is None:
+        raise InputError("held-out data came without mesh=; pass the problem's mesh to evaluate the maps")
+    judge = None if X_val is None else _HeldOut(mesh, X_val, y_val)
+    notes = [] if judge is None else list(judge.notes)
     if mesh is not None and mesh.n_points != problem.n_points:
         raise InputError(f"the mesh has {mesh.n_points} points, the problem {problem.n_points}; pass its own mesh")
     if problem.is_affine:
@@ -99,15 +96,7 @@ def solve_path(
     else:
         largest = float(lambda_max(problem)) if lambdas is None else np.nan
         grid = lambda_grid(largest, n_lambdas, ratio, start) if lambdas is None else _explicit(lambdas)
-    solutions: list[Solution] = []
-    state = None
-    for i, lam in enumerate(grid):
-        solution = _attempt(problem, float(lam), tol, method, state, solutions)
-        if warm_start and solution.state is not None:
-            state = solution.state
-        solutions.append(solution if mesh is None else solution.on(mesh))
-        if progress is not None:
-            progress(i, len(grid), solutions[-1])
+    solutions = _solve_grid(problem, grid, tol, method, mesh, warm_start, progress)
     path = Path(grid, tuple(solutions), largest, rule=rule, warnings=tuple(notes))
     if judge is None:
         return path
@@ -214,6 +203,20 @@ class _HeldOut:
         rmse = float(np.sqrt(squared.mean()))
         error = float(squared.std() / np.sqrt(len(squared)))
         return rmse, error / (2.0 * max(rmse, np.finfo(float).tiny))
+
+
+def _solve_grid(problem, grid, tol, method, mesh, warm_start, progress) -> list[Solution]:
+    """A solution for each λ, with warm_start each from the last one that left a state."""
+    solutions: list[Solution] = []
+    state = None
+    for i, lam in enumerate(grid):
+        solution = _attempt(problem, float(lam), tol, method, state, solutions)
+        if warm_start and solution.state is not None:
+            state = solution.state
+        solutions.append(solution if mesh is None else solution.on(mesh))
+        if progress is not None:
+            progress(i, len(grid), solutions[-1])
+    return solutions
 
 
 def _attempt(problem, lam, tol, method, state, before) -> Solution:

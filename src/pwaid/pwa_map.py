@@ -18,10 +18,11 @@ from typing import Any
 import numpy as np
 
 from pwaid import nearest
-from pwaid.delaunay import MeshQuality, Scaling, SimplexMesh
+from pwaid.delaunay import MeshQuality, SimplexMesh
 from pwaid.errors import InputError
 from pwaid.lerp import extrapolation_error
 from pwaid.recording import check_finite
+from pwaid.scaling import Scaling
 
 __all__ = ["OUTSIDE_RULES", "PWAMap"]
 

@@ -1,13 +1,11 @@
 """Recordings: uniformly sampled inputs and outputs with names and units.
 
 A `Recording` is data only: time along the first axis, read-only arrays, checked once when it is made.
-Tables without a time column (a static map's samples) are read by `read_table`.
+Files of columns are read by `pwaid.tables`.
 """
 
 from __future__ import annotations
 
-import csv
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,14 +14,13 @@ from typing import Any
 import numpy as np
 
 from pwaid.errors import InputError
+from pwaid.tables import read_mat, read_table
 
-__all__ = ["Recording", "check_finite", "check_samples", "read_table"]
+__all__ = ["Recording", "check_finite", "check_samples"]
 
 # A sample may lie this far from the uniform grid, as a fraction of the sample time, before it counts as wrong.
 # 5 % is far above the rounding of printed times and far below a lost sample (100 %).
 TIME_TOLERANCE = 0.05
-
-_HEADER = re.compile(r"^\s*(?P<name>.*?)\s*(?:[\[(](?P<unit>[^\])]*)[\])])?\s*$")
 
 
 def check_finite(array: np.ndarray, name: str) -> None:
@@ -195,55 +192,24 @@ class Recording:
         inputs: Sequence[str],
         outputs: Sequence[str],
         *,
-        time: str | None = "t",
-        sample_time: float | None = None,
         units: Mapping[str, str] | None = None,
+        **clock: Any,
     ) -> Recording:
         """Read a CSV file with a header line ``name``, ``name [unit]`` or ``name (unit)`` a column.
 
-        Pass `sample_time` in seconds to ignore the time column, e.g. when its stamps are rounded.
+        `units` go before those of the header; `clock` is `time` or `sample_time`, as in `from_columns`.
         """
         columns, found = read_table(path)
-        return cls.from_columns(
-            columns,
-            inputs,
-            outputs,
-            time=time,
-            sample_time=sample_time,
-            units={**found, **(units or {})},
-            name=Path(path).name,
-        )
+        units = {**found, **(units or {})}
+        return cls.from_columns(columns, inputs, outputs, units=units, name=Path(path).name, **clock)
 
     @classmethod
-    def from_mat(
-        cls,
-        path: str | Path,
-        inputs: Sequence[str],
-        outputs: Sequence[str],
-        *,
-        time: str | None = "t",
-        sample_time: float | None = None,
-        units: Mapping[str, str] | None = None,
-    ) -> Recording:
-        """Read vectors of a MATLAB file (up to version 7.2), named as in the file."""
-        from scipy.io import loadmat
+    def from_mat(cls, path: str | Path, inputs: Sequence[str], outputs: Sequence[str], **options: Any) -> Recording:
+        """Read vectors of a MATLAB file (up to version 7.2), named as in the file.
 
-        path = _existing(path)
-        try:
-            content = loadmat(path)
-        except (ValueError, NotImplementedError, TypeError, OSError) as error:
-            raise InputError(
-                f"{path.name} cannot be read as a MATLAB file ({error}); expected version 7.2 or older: "
-                "save it with -v7"
-            ) from error
-        columns = {
-            k: np.asarray(v, dtype=float).ravel()
-            for k, v in content.items()
-            if not k.startswith("__") and getattr(v, "dtype", np.dtype(object)).kind in "fiub"
-        }
-        return cls.from_columns(
-            columns, inputs, outputs, time=time, sample_time=sample_time, units=units, name=path.name
-        )
+        `options` are `time`, `sample_time` and `units`, as in `from_columns`.
+        """
+        return cls.from_columns(read_mat(path), inputs, outputs, name=Path(path).name, **options)
 
     @classmethod
     def from_frame(
@@ -278,7 +244,27 @@ class Recording:
         units: Mapping[str, str] | None = None,
         name: str = "recording",
     ) -> Recording:
-        """From a mapping of column name to vector."""
+        """From a mapping of column name to vector.
+
+        Parameters
+        ----------
+        columns : mapping of str to array_like, shape (N,)
+        inputs, outputs : sequence of str
+            Which columns drive the machine and which are measured; one name may stand alone.
+        time : str, optional
+            The column of time stamps in seconds.
+        sample_time : float, optional
+            Seconds between samples; the time column is then ignored, e.g. because its stamps are rounded.
+        units : mapping of name to unit, optional
+            Entries for columns that are not used are left out.
+        name : str
+            What the recording is called in reports.
+
+        Raises
+        ------
+        InputError
+            A missing column, no clock, columns of different lengths, or what `Recording` itself refuses.
+        """
         inputs = [inputs] if isinstance(inputs, str) else list(inputs)
         outputs = [outputs] if isinstance(outputs, str) else list(outputs)
         wanted = [*inputs, *outputs] + ([time] if sample_time is None and time is not None else [])
@@ -361,73 +347,3 @@ class Recording:
         if factor < 1 or int(factor) != factor:
             raise InputError(f"factor is {factor}; expected a whole number of at least 1")
         return self[:: int(factor)]
-
-
-def _existing(path: str | Path) -> Path:
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path} is not a file; expected the path of a recording")
-    if path.stat().st_size == 0:
-        raise InputError(f"{path.name} is empty; expected a header line and rows of numbers")
-    return path
-
-
-def read_table(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, str]]:
-    """Read a CSV file with a header line.
-
-    Returns
-    -------
-    columns : dict of name to array, shape (N,)
-    units : dict of name to unit
-        For headers written ``name [unit]`` or ``name (unit)``.
-
-    Raises
-    ------
-    InputError
-        Missing or empty file, no header, repeated names, ragged rows, or a cell that is not a number.
-    """
-    path = _existing(path)
-    with path.open(newline="", encoding="utf-8-sig") as file:
-        sample = file.read(4096)
-        delimiter = max(",;\t", key=sample.split("\n", 1)[0].count)
-        file.seek(0)
-        rows = [row for row in csv.reader(file, delimiter=delimiter) if row and not row[0].startswith("#")]
-    if len(rows) < 2:
-        raise InputError(f"{path.name} has {len(rows)} lines; expected a header line and at least one row")
-    names, units = [], {}
-    for cell in rows[0]:
-        match = _HEADER.match(cell)
-        name = match["name"] if match else cell.strip()
-        names.append(name)
-        if match and match["unit"] is not None:
-            units[name] = match["unit"].strip()
-    if any(_is_number(n) for n in names):
-        raise InputError(f"the first line of {path.name} holds numbers ({rows[0][:3]}…); expected column names")
-    repeated = sorted({n for n in names if names.count(n) > 1})
-    if repeated:
-        raise InputError(f"{path.name} has the column {repeated[0]!r} twice; expected different names")
-    ragged = next((i for i, row in enumerate(rows) if len(row) != len(names)), None)
-    if ragged is not None:
-        raise InputError(
-            f"row {ragged + 1} of {path.name} has {len(rows[ragged])} cells, the header {len(names)}; "
-            "expected the same number: is a delimiter or a decimal comma in the way?"
-        )
-    try:
-        data = np.array(rows[1:], dtype=float)
-    except ValueError as error:
-        for i, row in enumerate(rows[1:], 2):
-            for name, cell in zip(names, row, strict=True):
-                if not _is_number(cell):
-                    raise InputError(
-                        f"row {i}, column {name!r} of {path.name} holds {cell!r}; expected a number"
-                    ) from error
-        raise InputError(f"{path.name} cannot be read as numbers ({error})") from error
-    return {name: np.ascontiguousarray(data[:, j]) for j, name in enumerate(names)}, units
-
-
-def _is_number(cell: str) -> bool:
-    try:
-        float(cell)
-    except ValueError:
-        return False
-    return True

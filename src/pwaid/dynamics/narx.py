@@ -20,7 +20,7 @@ import numpy as np
 from scipy import sparse
 from scipy.linalg import null_space
 
-from pwaid.delaunay import Scaling, SimplexMesh
+from pwaid.delaunay import SimplexMesh
 from pwaid.dynamics.narx_model import NARXModel
 from pwaid.dynamics.regressors import Lags, as_recordings
 from pwaid.errors import InputError
@@ -29,6 +29,7 @@ from pwaid.lerp import barycentric_rows, hinge_matrix
 from pwaid.problem import HingeProblem
 from pwaid.pwa_map import PWAMap
 from pwaid.recording import Recording, check_finite
+from pwaid.scaling import Scaling
 from pwaid.solve import solve
 
 __all__ = ["NARX", "NARXPath", "NARXProblem"]

@@ -98,6 +98,15 @@ def _linearised(residual, S, x, F, points) -> HingeProblem:
     )
 
 
+def _descend(objective, x, move, value) -> tuple[np.ndarray, float] | None:
+    """The longest of the shortened steps that lowers the objective below `value`, and to what; None if none does."""
+    for t in SHORTEN:
+        lowered = objective(x + t * move)
+        if lowered < value:
+            return x + t * move, lowered
+    return None
+
+
 def refine(
     problem: NARXProblem,
     unknowns: np.ndarray,
@@ -158,19 +167,13 @@ def refine(
         except (ArithmeticError, RuntimeError):  # the derivative is too steep to factorise: keep what we have
             break
         warm, n_broken = solution.state, solution.n_broken
-        move = solution.values - x
-        for t in SHORTEN:
-            trial = evaluate(x + t * move, False)[0]
-            if trial < value:
-                break
-        else:
+        shorter = _descend(lambda z: evaluate(z, False)[0], x, solution.values - x, value)
+        if shorter is None:
             break
-        x = x + t * move
+        x, lowered = shorter
         value, residual, S = evaluate(x, True)
-        history.append(trial)
-        if residual is None:
-            break
-        if history[-2] - value < tol * history[-2]:
+        history.append(lowered)
+        if residual is None or history[-2] - value < tol * history[-2]:
             break
     return Refined(problem.model(x[:, None]), x, tuple(history), n_broken)
 

@@ -56,28 +56,8 @@ def load_case(folder) -> Case:
     """
     folder = Path(folder)
     path = folder / "case.toml"
-    if not path.is_file():
-        raise InputError(f"{path} does not exist; expected a case folder with case.toml, a simulator and recordings")
-    try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
-    except tomllib.TOMLDecodeError as error:
-        raise InputError(f"{path} is not valid TOML: {error}; correct that line") from error
-    missing = [k for k in ("simulator", "train", "inputs", "outputs") if k not in table]
-    if missing:
-        raise InputError(f"{path} lacks {missing[0]!r}; expected simulator, time, train, inputs and outputs")
-    unknown = sorted(set(table) - _KEYS)
-    if unknown:
-        raise InputError(f"{path} has the unknown key {unknown[0]!r}; expected one of {', '.join(sorted(_KEYS))}")
-    _check_kinds(path, table)
-    train, test = list(table["train"]), list(table.get("test", []))
-    both = sorted(set(train) & set(test))
-    if both:
-        raise InputError(f"{both[0]} is listed as training and as test recording; list it once")
-    twice = sorted({n for names in (train, test) for n in names if names.count(n) > 1})
-    if twice:
-        raise InputError(f"{twice[0]} is listed twice; list it once")
-    if not train:
-        raise InputError(f"{path} lists no training recording; expected at least one CSV file")
+    table = _read_toml(path)
+    train, test = _recording_names(path, table)
     inputs, outputs = dict(table["inputs"]), dict(table["outputs"])
     if not outputs:
         raise InputError(f"{path} lists no outputs; expected at least one column under [outputs]")
@@ -121,6 +101,38 @@ def load_case(folder) -> Case:
                 tuple(tuple(g) for g in table.get("repeats", [])), hold == "first",
                 bool(table.get("controller") or table.get("closed_loop")), dict(table.get("tolerances", {})),
                 source, controller, {n: read(n, references).inputs for n in (*train, *test)} if references else {})
+
+
+def _read_toml(path: Path) -> dict:
+    """The table of case.toml, its keys and their kinds checked."""
+    if not path.is_file():
+        raise InputError(f"{path} does not exist; expected a case folder with case.toml, a simulator and recordings")
+    try:
+        table = tomllib.loads(path.read_text(encoding="utf-8"))
+    except tomllib.TOMLDecodeError as error:
+        raise InputError(f"{path} is not valid TOML: {error}; correct that line") from error
+    missing = [k for k in ("simulator", "train", "inputs", "outputs") if k not in table]
+    if missing:
+        raise InputError(f"{path} lacks {missing[0]!r}; expected simulator, time, train, inputs and outputs")
+    unknown = sorted(set(table) - _KEYS)
+    if unknown:
+        raise InputError(f"{path} has the unknown key {unknown[0]!r}; expected one of {', '.join(sorted(_KEYS))}")
+    _check_kinds(path, table)
+    return table
+
+
+def _recording_names(path: Path, table: Mapping) -> tuple[list[str], list[str]]:
+    """The files to train and to test on, each listed once."""
+    train, test = list(table["train"]), list(table.get("test", []))
+    both = sorted(set(train) & set(test))
+    if both:
+        raise InputError(f"{both[0]} is listed as training and as test recording; list it once")
+    twice = sorted({n for names in (train, test) for n in names if names.count(n) > 1})
+    if twice:
+        raise InputError(f"{twice[0]} is listed twice; list it once")
+    if not train:
+        raise InputError(f"{path} lists no training recording; expected at least one CSV file")
+    return train, test
 
 
 _KINDS = {

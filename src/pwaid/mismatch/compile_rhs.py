@@ -68,6 +68,7 @@ class _Positions(ast.NodeTransformer):
         return node
 
     def visit_Assign(self, node):
+        """``a, b = x`` and ``a, b = x[2:]`` as one indexed assignment a name."""
         self.generic_visit(node)
         if len(node.targets) != 1 or not isinstance(node.targets[0], ast.Tuple):
             return node

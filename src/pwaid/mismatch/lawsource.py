@@ -231,6 +231,7 @@ class _Fold(ast.NodeTransformer):
         return node
 
     def visit_BoolOp(self, node):
+        """Constants taken out of ``and`` and ``or``; one that decides ends the chain."""
         self.generic_visit(node)
         stop = isinstance(node.op, ast.Or)
         left = []
@@ -262,6 +263,7 @@ class _Calls(ast.NodeTransformer):
         self.phase, self.row = phase, row
 
     def visit_Expr(self, node):
+        """A call of `push` or `slide` as a plain statement; None where the push belongs to the other phase."""
         call = node.value
         if not (isinstance(call, ast.Call) and isinstance(call.func, ast.Name)):
             return node
@@ -309,6 +311,7 @@ class _Rename(ast.NodeTransformer):
         self.reads: list[ast.stmt] = []
 
     def visit_Subscript(self, node):
+        """The element by its new array's name, or by a name of its own, noted in `reads`, where it is only read."""
         if not (isinstance(node.value, ast.Name) and node.value.id in self.arrays
                 and isinstance(node.slice, ast.Constant)):
             return self.generic_visit(node)
