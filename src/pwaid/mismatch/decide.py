@@ -95,17 +95,6 @@ def effective_samples(residual) -> float:
     return max(total, 4.0)
 
 
-def lag_one(residual) -> float:
-    """Largest lag-one correlation over the outputs."""
-    found = 0.0
-    for k in range(residual.shape[1]):
-        r = residual[:, k] - residual[:, k].mean()
-        power = float(r @ r)
-        if power > 0:
-            found = max(found, float(r[1:] @ r[:-1]) / power)
-    return found
-
-
 def criterion(problem: Problem, h: Hypothesis) -> float:
     """BIC with the effective sample size, from the mean over training and held-out error (for nested ties)."""
     r = problem.train.Y - h.fit.Y

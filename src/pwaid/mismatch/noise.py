@@ -23,11 +23,6 @@ class NoiseModel:
     coefficients: tuple[np.ndarray, ...]
     variance: np.ndarray
 
-    @property
-    def white(self) -> bool:
-        """Whether no output's residual depends on its past."""
-        return all(len(a) == 0 for a in self.coefficients)
-
     def innovations(self, residual, segments) -> np.ndarray:
         """Innovations in units of their standard deviation, (N, ny); zero where a segment's past is too short."""
         e = np.zeros_like(residual)
