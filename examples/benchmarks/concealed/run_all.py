@@ -1,10 +1,10 @@
 """The whole proof with one command: generate, run the diagnosis, score, run and score the baselines, make the page.
 
-    python run_all.py WORK [--set calibration|score] [--n 2 single=12] [--classes …] [--cells …] [--processes 2]
+    python run_all.py WORK [--set calibration|score|score2] [--n 2 single=12] [--classes …] [--cells …] [--processes 2]
                       [--command "pwaid explain"] [--baselines …] [--page ../../../docs/proof.md]
 
 Every step resumes where it stopped. The cases are written once; the hash of their key is printed and must be committed
-before the diagnosis is allowed to see a score set: with `--set score` the run stops after writing the cases until
+before the diagnosis is allowed to see a score set: with a score set the run stops after writing the cases until
 `--seal FILE` names the committed copy of WORK/cases/key.sha256.
 """
 
@@ -74,7 +74,7 @@ def main(argv=None):
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("work", type=Path, help="folder for cases, key, results and scores")
-    parser.add_argument("--set", dest="which", choices=("calibration", "score"), default="calibration")
+    parser.add_argument("--set", dest="which", choices=("calibration", "score", "score2"), default="calibration")
     parser.add_argument("--n", nargs="+", help="cases per class and cell, or CLASS=N, as generate.py takes it")
     parser.add_argument("--classes", nargs="+")
     parser.add_argument("--cells", nargs="+")
@@ -87,7 +87,7 @@ def main(argv=None):
     args = parser.parse_args(argv)
     args.work.mkdir(parents=True, exist_ok=True)
     generate(args)
-    if args.seal is None and args.which == "score":
+    if args.seal is None and args.which.startswith("score"):
         print(f"commit a copy of {args.work / 'cases' / 'key.sha256'}, then run again with --seal COPY")
         return 0
     args.seal = args.seal or args.work / "cases" / "key.sha256"
