@@ -35,27 +35,39 @@ CORRECTION = Effect("pwa_correction", "unnamed", "F = gain * c(variable), c lear
                     (Quantity("gain", "1", -3.0, 3.0, (1.0,), log=False),), curve, lambda structure: [])
 
 
+def curve_place(kind: str, target: int, variable: int, of_input: bool, knots, values, signal: str = "",
+                variables: tuple[str, ...] = ()) -> Place:
+    """Where a curve enters and what it reads.
+
+    Parameters
+    ----------
+    kind : "input" or "state"; target : the input, or the state whose derivative it enters, there `values` (n,) of its
+        uniform `knots` (n,) are in the derivative's unit. variable : the state it reads, or the input (`of_input`).
+    """
+    ii = [0, int(kind == "state"), target, -1, -1, -1, -1, -1, -1, -1, 0, 0]
+    if of_input:
+        ii[8], ii[10] = variable, 1
+    else:
+        ii[4] = variable
+    constants = (float(knots[0]), float(knots[-1]), float(len(knots)), *map(float, values))
+    return Place(kind, signal, variables, tuple(ii), {}, {}, constants)
+
+
 def _place(problem: Problem, location: Location) -> Place | None:
-    """Where the curve enters and what it reads; None for a curve over time or a rate."""
+    """Where the curve of a location enters; None for a curve over time or a rate."""
     plant, shape = problem.plant, location.shape
     kind, _, signal = location.channel.partition(":")
-    ii = [0, 0, 0, -1, -1, -1, -1, -1, -1, -1, 0, 0]
-    factor = 1.0
-    if kind == "state":
-        i = plant.state_names.index(signal)
-        ii[1], ii[2] = 1, i
-        factor = problem.structure.mobility.get(i, 1.0)
-    else:
-        ii[2] = plant.input_names.index(signal)
-    if shape.variable in plant.state_names:
-        ii[4] = plant.state_names.index(shape.variable)
-    elif shape.variable in plant.input_names:
-        ii[8], ii[10] = plant.input_names.index(shape.variable), 1
-    else:
+    of_input = shape.variable in plant.input_names
+    if not of_input and shape.variable not in plant.state_names:
         return None
-    c = shape.curve
-    constants = (c.knots[0], c.knots[-1], float(len(c.knots)), *(factor * c.values))
-    return Place(kind, signal, (shape.variable,), tuple(ii), {}, {}, tuple(map(float, constants)))
+    if kind == "state":
+        target = plant.state_names.index(signal)
+        factor = problem.structure.mobility.get(target, 1.0)
+    else:
+        kind, target, factor = "input", plant.input_names.index(signal), 1.0
+    names = plant.input_names if of_input else plant.state_names
+    return curve_place(kind, target, names.index(shape.variable), of_input, shape.curve.knots,
+                       factor * shape.curve.values, signal, (shape.variable,))
 
 
 def correct(problem: Problem, location: Location) -> Hypothesis | None:

@@ -3,8 +3,7 @@
 The verdict rests on held-out recordings: what share of the explainable error an effect removes,
 whether every recording improves, how far the runner-up is, how often the winner wins under a block
 bootstrap. An information criterion alone always names something, so it only breaks ties between
-nested laws. The thresholds of `Thresholds` were set on calibration cases and are frozen
-(docs/mismatch.md says how).
+nested laws.
 """
 
 from __future__ import annotations
@@ -15,37 +14,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pwaid.mismatch.adequacy import inadequate, over_floor, predicted_rest, still_explained
 from pwaid.mismatch.hypotheses import Hypothesis, floor_square, mean_square
-from pwaid.mismatch.noise import fit_noise
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.predictability import predictability
-from pwaid.mismatch.vetoes import at_bound, outside, veto
+from pwaid.mismatch.thresholds import Thresholds
+from pwaid.mismatch.vetoes import veto
 
-__all__ = ["Decision", "Thresholds", "at_floor", "decide", "errors_by_recording", "white_bic"]
-
-
-@dataclass(frozen=True)
-class Thresholds:
-    """The numbers a verdict depends on."""
-
-    material: float = 1.3  # held-out mean square of the null, relative to the floor's, that counts as a mismatch
-    trifle: float = 2e-3  # of an output's standard deviation: an error below it is never a mismatch
-    small: float = 0.15  # of an output's standard deviation: a residual below it may be a mere disturbance ...
-    predicted: float = 0.15  # ... when past inputs predict less than this share of it
-    share: float = 0.5  # of the explainable held-out error, with a trusted floor
-    share_tentative: float = 0.45  # without one
-    second_share: float = 0.35  # of what the single effect left
-    nested_gain: float = 0.1  # error the larger of two nested laws must remove beyond the smaller
-    nested_share: float = 0.002  # ... and its share of the null's error
-    rival: float = 1.15  # error ratio within which a rival of another law is not excluded
-    wins: float = 0.8  # share of block bootstraps the winner must win
-    left: float = 2.0  # held-out mean square after an effect, relative to the floor's, that needs no excuse ...
-    left_predicted: float = 0.3  # ... beyond it, no more of it than this may follow from the inputs,
-    trace: float = 0.05  # (unless that is less than this share of what there was to explain)
-    quiet: float = 100.0  # (unless noise is so small beside what is left that no simulator would do,)
-    reach: float = 2.9  # ... nor may a nominal parameter have moved by more than this many tolerances,
-    evidence: float = 50.0  # ... and the held-out log-likelihood, residuals made white, must have risen by this much
-    moved: float = 0.02  # a parameter that moved by this share of its value counts as wrong
+__all__ = ["Decision", "at_floor", "decide", "errors_by_recording", "white_bic"]
 
 
 @dataclass(frozen=True)
@@ -122,13 +98,14 @@ def decide(problem: Problem, null: Hypothesis, singles: Sequence[Hypothesis], pa
     floor = floor_square(problem)
     reasons: list[str] = []
     share = t.share if problem.floor.trusted else t.share_tentative
-    passed = [h for h in singles if _passes(problem, h, null, share)]
-    passed = _judge(problem, passed, t, reasons)
     if at_floor(problem, t):
         reasons.append("the refitted simulator is at the noise floor on the held-out recordings")
         return Decision(_agreement_or_parameters(problem, t), null, (), (), tuple(reasons))
+    passed, refused = _judge(problem, [h for h in singles if _passes(problem, h, null, share)], t, reasons)
+    passed_pairs, more = _judge(problem, _passing_pairs(problem, null, singles, pairs, share, t), t, reasons)
+    passed = _not_outdone(passed, [*refused, *more], t, reasons)
+    passed_pairs = sorted(_not_outdone(passed_pairs, [*refused, *more], t, reasons), key=_score)
     best = min(passed, key=_score, default=None)
-    passed_pairs = _passing_pairs(problem, null, singles, pairs, share, t, reasons)
     if best is not None:
         best = _prefer_smaller(problem, best, passed, t)
         pair = _better_pair(best, passed_pairs, floor, t)
@@ -139,7 +116,7 @@ def decide(problem: Problem, null: Hypothesis, singles: Sequence[Hypothesis], pa
     if passed_pairs:
         pair = _prefer_smaller(problem, passed_pairs[0], passed_pairs, t)
         return _name(problem, pair, passed_pairs, t, rng, reasons)
-    if _unrelated(problem, t):
+    if _unrelated(problem, t) and not still_explained(problem, null, t):
         reasons.append("what is left is small and past inputs do not predict it: a disturbance, not physics left out")
         return Decision(_agreement_or_parameters(problem, t), null, (), (), tuple(reasons))
     reasons.append("no effect removed enough of the held-out error")
@@ -161,59 +138,30 @@ def _passes(problem, h: Hypothesis, null: Hypothesis, share: float) -> bool:
 
 
 def _judge(problem, passed, t, reasons):
-    """Those that physics and what they leave do not speak against."""
-    kept = []
+    """Those that physics and what they leave do not speak against, and those that what they leave speaks against."""
+    kept, refused = [], []
     for h in passed:
-        reason = veto(problem, h) or inadequate(problem, h, t)
+        reason = veto(problem, h)
+        if not reason:
+            reason = inadequate(problem, h, t)
+            (refused if reason else kept).append(h)
         if reason:
             reasons.append(f"{h.label}: {reason}")
+    return kept, refused
+
+
+def _not_outdone(kept, refused, t, reasons):
+    """Those of which no refused hypothesis explains most of the rest: that rest is physics, not a disturbance."""
+    left = []
+    for h in kept:
+        better = [r for r in refused if r.train_error < t.outdone * h.train_error
+                  and r.test_error < t.outdone * h.test_error]
+        if better:
+            reasons.append(f"{h.label}: {better[0].label}, itself refused, leaves less than {100 * t.outdone:.0f} % of "
+                           "what it leaves")
         else:
-            kept.append(h)
-    return kept
-
-
-def inadequate(problem: Problem, h: Hypothesis, t: Thresholds) -> str:
-    """Why what an effect leaves shows that it is not the one, or an empty text.
-
-    At the floor nothing speaks against it. Above the floor the rest may be a disturbance; then the inputs do not
-    predict it, no parameter had to leave its tolerance or its bounds to stand in for other physics, and the gain
-    is seen by likelihoods that count a slow wave once. Where noise is a hundredth of what is left, every simulator
-    leaves something that the inputs predict: there this says that more is missing, not that the name is wrong.
-    """
-    left = _over_floor(problem, h.test.Y, t)
-    if np.all(left < t.left):
-        return ""
-    if at_bound(h):
-        return f"{at_bound(h)[0]} went to its bound and the error is not at the floor"
-    if outside(h, t.reach):
-        return f"{outside(h, t.reach)[0]} had to leave its tolerance and the error is not at the floor"
-    rest = _predicted_rest(problem, h, left, t)
-    if np.any((left < t.quiet) & (rest * left > t.trace * _over_floor(problem, problem.null_test.Y, t))):
-        return f"the inputs still predict {100 * float(np.max(rest)):.0f} % of what it leaves"
-    gain = likelihood_gain(problem, h)
-    if gain < t.evidence:
-        return f"the held-out log-likelihood rose by {gain:.0f} only, once residuals are made white"
-    return ""
-
-
-def _over_floor(problem: Problem, Y, t: Thresholds) -> np.ndarray:
-    """Held-out mean square of each output relative to the floor's, or to a trifle of the output."""
-    floor = np.maximum(problem.floor.level, t.trifle * np.std(problem.train.Y, axis=0))
-    return np.mean((problem.test.Y - Y) ** 2, axis=0) / floor**2
-
-
-def _predicted_rest(problem: Problem, h: Hypothesis, left, t: Thresholds) -> np.ndarray:
-    """Share of each output's rest that follows from the inputs; 0 where it is small or the error at the floor."""
-    rest = predictability(problem.train, h.fit, problem.test, h.test, problem.structure.time_scale)
-    return np.where((left >= t.left) & (rest > t.left_predicted), rest, 0.0)
-
-
-def likelihood_gain(problem: Problem, h: Hypothesis) -> float:
-    """Held-out log-likelihood of h over the null, both under the noise model of what h leaves in training."""
-    noise = fit_noise(problem.train.Y - h.fit.Y, problem.train.segments)
-    before = noise.innovations(problem.test.Y - problem.null_test.Y, problem.test.segments)
-    after = noise.innovations(problem.test.Y - h.test.Y, problem.test.segments)
-    return 0.5 * float(np.sum(before**2) - np.sum(after**2))
+            left.append(h)
+    return left
 
 
 def at_floor(problem, t) -> bool:
@@ -235,7 +183,7 @@ def null_predictability(problem) -> np.ndarray:
     return predictability(problem.train, problem.null, problem.test, problem.null_test, problem.structure.time_scale)
 
 
-def _passing_pairs(problem, null, singles, pairs, share, t, reasons):
+def _passing_pairs(problem, null, singles, pairs, share, t):
     by_label = {h.label: h for h in singles}
     found = []
     for h in pairs:
@@ -246,7 +194,7 @@ def _passing_pairs(problem, null, singles, pairs, share, t, reasons):
         if any(_gain(problem, p, h) < t.second_share for p in better):
             continue
         found.append(h)
-    return sorted(_judge(problem, found, t, reasons), key=_score)
+    return found
 
 
 def _gain(problem, single: Hypothesis, pair: Hypothesis) -> float:
@@ -304,7 +252,7 @@ def _prefer_smaller(problem, best, passed, t):
 def _name(problem, best, passed, t, rng, reasons) -> Decision:
     """One name, or the set of those the recordings cannot tell from it."""
     members = [best]
-    rest = _predicted_rest(problem, best, _over_floor(problem, best.test.Y, t), t)
+    rest = predicted_rest(problem, best, over_floor(problem, best.test.Y, t), t)
     if rest.any():
         reasons.append(f"the inputs still predict {100 * float(np.max(rest)):.0f} % of what {best.label} leaves: "
                        "something more is missing")

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pwaid.mismatch.decide import Thresholds, at_floor
+from pwaid.mismatch.decide import at_floor
 from pwaid.mismatch.effects.base import Effect
 from pwaid.mismatch.hypotheses import (
     Hypothesis,
@@ -19,6 +19,7 @@ from pwaid.mismatch.hypotheses import (
     fit_members,
     fit_pairs,
     fit_shortlist,
+    fit_swaps,
     floor_square,
     hypothesis_of,
     null_hypothesis,
@@ -26,6 +27,7 @@ from pwaid.mismatch.hypotheses import (
 )
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.screen import Screened, locate_effects, run_jobs, screen, shortlist
+from pwaid.mismatch.thresholds import Thresholds
 
 __all__ = ["Evidence", "gather"]
 
@@ -72,6 +74,8 @@ def gather(problem: Problem, catalogue: Sequence[Effect], notes: Sequence[str] =
         say(0.6, "fitting pairs")
         cheap = len(problem.train.U) * problem.settings.substeps < 5000
         pairs = fit_pairs(problem, singles, located, jobs, width=4 if cheap else 2)
+        if pairs and _short_of_floor(problem, null, pairs):
+            pairs = sorted([*pairs, *fit_swaps(problem, pairs, located, jobs)], key=lambda h: h.train_error)
         singles = fit_members(problem, pairs, singles, jobs)
         pairs = sorted([*pairs, *fit_inner(problem, pairs, singles, located, jobs)], key=lambda h: h.train_error)
     return Evidence(problem, null, tuple(screened), tuple(singles), tuple(pairs), len(located) + len(pairs),
@@ -92,7 +96,9 @@ def _keeps_whole(problem, best: Hypothesis) -> bool:
 
 def _worth_pairs(problem, null, singles) -> bool:
     """Pairs are searched unless the best single law already reaches the floor, or there is nothing to explain."""
-    floor = floor_square(problem)
-    if null.test_error < 1.25 * floor:
-        return False
-    return min(h.train_error for h in singles) > max(1.2 * floor, 0.002 * null.train_error)
+    return null.test_error >= 1.25 * floor_square(problem) and _short_of_floor(problem, null, singles)
+
+
+def _short_of_floor(problem, null, fitted) -> bool:
+    """Whether even the best of the fitted leaves more than the floor, and more than a trifle of the null's error."""
+    return min(h.train_error for h in fitted) > max(1.2 * floor_square(problem), 0.002 * null.train_error)

@@ -26,7 +26,7 @@ from pwaid.mismatch.case import Case, load_case
 from pwaid.mismatch.closed_loop import closed_loop_report, make_loop
 from pwaid.mismatch.correction import correct
 from pwaid.mismatch.dataset import Dataset
-from pwaid.mismatch.decide import Thresholds, decide
+from pwaid.mismatch.decide import decide
 from pwaid.mismatch.effects.registry import CATALOGUE, effect_by_id
 from pwaid.mismatch.evidence import Evidence, gather
 from pwaid.mismatch.hygiene import hygiene, with_feedback
@@ -34,6 +34,7 @@ from pwaid.mismatch.locate import locate
 from pwaid.mismatch.nullfit import prepare
 from pwaid.mismatch.plant import as_plant
 from pwaid.mismatch.report import Report, build_report, write_report
+from pwaid.mismatch.thresholds import Thresholds
 from pwaid.recording import Recording
 
 __all__ = ["collect", "collect_case", "conclude", "explain", "explain_case"]

@@ -16,7 +16,7 @@ import numpy as np
 from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.model import Model
 
-__all__ = ["Fit", "Jacobian", "fit_model", "fit_starts", "jacobian"]
+__all__ = ["Fit", "Jacobian", "fit_model", "fit_starts", "jacobian", "output_rows"]
 
 WIDTHS = (1.0, 10.0, 2.0)  # factors on the difference steps, one after the other where one stalls among kinks
 CLIP = 1e3  # weighted residuals beyond this count as this: a runaway simulation is bad, not infinite
@@ -93,7 +93,8 @@ def jacobian(model: Model, theta, X0, data: Dataset, sigma, Y, ranges, want_stat
     return Jacobian(G, S)
 
 
-def _rows(data: Dataset):
+def output_rows(data: Dataset) -> list[slice]:
+    """Rows of every segment among outputs laid out sample by sample, as `Jacobian` holds them."""
     ny = data.Y.shape[1]
     return [slice(int(a) * ny, int(b) * ny) for a, b in data.segments[:, :2]]
 
@@ -141,7 +142,7 @@ def fit_model(model: Model, data: Dataset, sigma, theta, X0, ranges, iterations:
     ranges : (nx,) magnitudes of the states, for scaling and difference steps.
     hold_globals : fit the start states only, as for held-out recordings.
     """
-    rows = _rows(data)
+    rows = output_rows(data)
     low, high = model.bounds(data.sample_time)
     prior = np.concatenate([1 / np.log1p(model.settings.tolerance), np.zeros(model.nz)])
     theta = np.clip(np.asarray(theta, dtype=float), low, high)

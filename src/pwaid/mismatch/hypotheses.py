@@ -14,8 +14,8 @@ from pwaid.mismatch.model import Located, Model
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.screen import Screened, run_jobs, screen
 
-__all__ = ["Hypothesis", "fit_contained", "fit_inner", "fit_members", "fit_pairs", "fit_shortlist", "floor_square",
-           "hypothesis_of", "mean_square", "null_hypothesis", "on_whole", "share"]
+__all__ = ["Hypothesis", "fit_contained", "fit_inner", "fit_members", "fit_pairs", "fit_shortlist", "fit_swaps",
+           "floor_square", "hypothesis_of", "mean_square", "null_hypothesis", "on_whole", "share"]
 
 
 @dataclass(frozen=True)
@@ -229,6 +229,44 @@ def fit_pairs(problem: Problem, singles: Sequence[Hypothesis], located: Sequence
     for best in _distinct(pairs, 1):
         pairs += _variants(problem, best, singles, located, jobs, tick)
     return sorted(pairs, key=lambda h: h.train_error)
+
+
+def fit_swaps(problem: Problem, pairs: Sequence[Hypothesis], located: Sequence[Located], jobs: int = 1,
+              width: int = 3, rounds: int = 2) -> list[Hypothesis]:
+    """The best pair with each of its laws in turn replaced, and again while that helps: what its other law and its
+    parameters leave is screened again. A wrong partner bends a right law less than the null bends either."""
+    seen, found = {frozenset(e.key for e in h.located) for h in pairs}, []
+    best = pairs[0]
+    for _ in range(rounds):
+        new = [h for e in best.located for h in _partners(problem, best, e, located, seen, jobs, width)]
+        found += new
+        better = min(new, key=lambda h: h.train_error, default=best)
+        if better.train_error > 0.8 * best.train_error:
+            break
+        best = better
+    return found
+
+
+def _partners(problem, pair, kept, located, seen, jobs, width):
+    """Fits of `kept`, a law of the pair, with the best other partners that were not `seen`."""
+    model, parts = pair.coarse.model, pair.coarse.model.located
+    ends = np.cumsum([pair.coarse.model.np, *(e.size for e in parts)])
+    k = parts.index(kept)
+    theta = np.concatenate([pair.coarse.theta[:ends[0]], pair.coarse.theta[ends[k]:ends[k + 1]]])
+    alone = Model(problem.settings, (kept,), model.substeps)
+    Y, X = alone.simulate(theta, pair.coarse.X0, problem.coarse)
+    base = Fit(alone, theta, pair.coarse.X0, np.inf, Y, X, 0)
+    others = [c for c in located if not _same_knob(c, kept) and frozenset((c.key, kept.key)) not in seen]
+    alive = _untied([s for s in screen(problem, base, others, jobs) if s.score > 0])
+    inner = [c.key for s in alive[:width] for c in _inner(s.located, others)]
+    chosen = alive[:width] + [s for s in alive[width:] if s.located.key in inner]
+    seen |= {frozenset((s.located.key, kept.key)) for s in chosen}
+    return fit_shortlist(problem, chosen, jobs, base=base) if chosen else []
+
+
+def _untied(screened: Sequence[Screened], apart: float = 1e-3) -> list[Screened]:
+    """One of those that the screen cannot tell apart, best first."""
+    return [s for k, s in enumerate(screened) if k == 0 or screened[k - 1].score - s.score > apart * s.score]
 
 
 def fit_members(problem: Problem, pairs: Sequence[Hypothesis], singles: Sequence[Hypothesis], jobs: int = 1,

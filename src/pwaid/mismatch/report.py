@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pwaid.mismatch.decide import Decision, Thresholds, white_bic
+from pwaid.mismatch.decide import Decision, white_bic
 from pwaid.mismatch.experiment import Experiment, next_experiment, plan_experiment, rivals
 from pwaid.mismatch.hypotheses import Hypothesis, share
 from pwaid.mismatch.intervals import parameter_intervals
@@ -22,6 +22,7 @@ from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.repaired import repaired_source, repaired_system
 from pwaid.mismatch.repaired_blackbox import black_box_source, repaired_black_box
 from pwaid.mismatch.summary import interval, summary_text
+from pwaid.mismatch.thresholds import Thresholds
 from pwaid.mismatch.units import combine
 
 __all__ = ["SCHEMA", "Report", "build_report", "write_report"]

@@ -18,14 +18,15 @@ import numpy as np
 
 from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.effects.base import Effect
-from pwaid.mismatch.fit import Fit, jacobian
+from pwaid.mismatch.fit import Fit, jacobian, output_rows
 from pwaid.mismatch.model import LIMIT, Located, Model
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.structure import Structure
 
-__all__ = ["Projector", "Screened", "locate_effects", "run_jobs", "screen", "shortlist"]
+__all__ = ["Projector", "Screened", "StartsOut", "lattice", "locate_effects", "run_jobs", "screen", "shortlist"]
 
 ABSORBED = 1e-5  # a small signature of which less than this share is left is a nominal parameter in disguise
+AGAINST = 0.3  # factor on the score of a law that would have to act against its sign: the null may be bent far
 
 
 @dataclass(frozen=True)
@@ -38,26 +39,31 @@ class Screened:
     visible: float
 
 
+class StartsOut:
+    """Removes from output signals (N ny,) or (N ny, n) what start states can explain; S (N ny, nx) responds to them."""
+
+    def __init__(self, S, data: Dataset):
+        self.rows = output_rows(data)
+        self.blocks = [_basis(S[s]) for s in self.rows]
+
+    def __call__(self, v):
+        v = v.copy()
+        for s, B in zip(self.rows, self.blocks, strict=True):
+            v[s] -= B @ (B.T @ v[s])
+        return v
+
+
 class Projector:
     """Removes what parameters and start states can explain from a weighted output signal."""
 
     def __init__(self, model: Model, fit: Fit, data: Dataset, sigma, ranges):
         J = jacobian(model, fit.theta, fit.X0, data, sigma, fit.Y, ranges,
                      bounds=model.bounds(data.sample_time))
-        ny = data.Y.shape[1]
-        self.rows = [slice(int(a) * ny, int(b) * ny) for a, b in data.segments[:, :2]]
-        self.blocks = [_basis(J.S[s]) for s in self.rows]
-        G = np.column_stack([self._starts_out(J.G[:, k]) for k in range(J.G.shape[1])]) if J.G.shape[1] else J.G
-        self.G = _basis(G)
-
-    def _starts_out(self, v):
-        v = v.copy()
-        for s, B in zip(self.rows, self.blocks, strict=True):
-            v[s] -= B @ (B.T @ v[s])
-        return v
+        self.starts_out = StartsOut(J.S, data)
+        self.G = _basis(self.starts_out(J.G))
 
     def __call__(self, v):
-        v = self._starts_out(v)
+        v = self.starts_out(v)
         return v - self.G @ (self.G.T @ v)
 
 
@@ -99,12 +105,27 @@ def _probe_grid(located: Located, problem: Problem, residual) -> list[np.ndarray
             values = tuple(np.arange(3.0, 50.0, 1.2))
         elif effect.id == "periodic_disturbance" and q.name == "angular_frequency":
             values = tuple(w / located.scales[0] for w in _peaks(residual, problem.coarse, located))
+        elif effect.id == "sensor_quantization":
+            step = lattice(problem.coarse.Y[:, located.place.ii[7]])
+            values = (step / located.scales[0],) if step else values
         options.append(values)
     grid = [located.internal(m) for m in product(*options)]
     cap = 120 if effect.id == "position_ripple" else 36
     if len(grid) > cap:
         grid = [grid[i] for i in np.linspace(0, len(grid) - 1, cap).astype(int)]
     return grid
+
+
+def lattice(y) -> float:
+    """Step of the lattice that all samples y (N,) lie on; 0 where they lie on none, or nearly every one is unlike."""
+    values = np.unique(y)
+    if not 2 < len(values) < len(y) / 4:
+        return 0.0
+    step = float(np.min(np.diff(values)))
+    marks = np.round((values - values[0]) / step)
+    step = float((values[-1] - values[0]) / marks[-1])
+    away = np.abs((values - values[0]) / step - np.round((values - values[0]) / step))
+    return step if np.max(away) < 0.05 else 0.0
 
 
 def _peaks(residual, data: Dataset, located, count: int = 3):
@@ -171,7 +192,7 @@ def screen(problem: Problem, fit: Fit, located: Sequence[Located], jobs: int = 1
             dot = float(s @ e)
             signed = dot < 0 and (not candidate.effect.quantities or candidate.effect.quantities[0].log
                                   or candidate.effect.quantities[0].size.endswith("_level"))
-            score = 0.0 if signed else dot * dot / (left * norm)
+            score = (AGAINST if signed else 1.0) * dot * dot / (left * norm)
             start = z.copy()
             if dot < 0 and not signed:
                 start[0] = -start[0]

@@ -1,0 +1,97 @@
+"""Whether what an effect leaves shows that it is not the one, or not the only one."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pwaid.mismatch.hypotheses import Hypothesis
+from pwaid.mismatch.leftover import leftover
+from pwaid.mismatch.noise import fit_noise
+from pwaid.mismatch.nullfit import Problem
+from pwaid.mismatch.predictability import predictability
+from pwaid.mismatch.thresholds import Thresholds
+from pwaid.mismatch.vetoes import at_bound, outside
+
+__all__ = ["inadequate", "likelihood_gain", "over_floor", "predicted_rest",
+           "still_explained"]
+
+
+def inadequate(problem: Problem, h: Hypothesis, t: Thresholds) -> str:
+    """Why what an effect leaves shows that it is not the one, or an empty text.
+
+    At the floor nothing speaks against it. Above the floor the rest may be a disturbance; then neither maps nor the
+    inputs explain it, no parameter had to leave its tolerance or its bounds to stand in for other physics, and the
+    gain is seen by likelihoods that count a slow wave once. Where noise is a hundredth of what is left, every
+    simulator leaves something that maps explain: there this says that more is missing, not that the name is wrong.
+    """
+    left = over_floor(problem, h.test.Y, t)
+    null = over_floor(problem, problem.null_test.Y, t)
+    if np.all(left < t.near):
+        return ""
+    reason = _stretched(problem, h, left, null, t) if np.any(left >= t.left) else ""
+    return reason or still_explained(problem, h, t)
+
+
+def _stretched(problem: Problem, h: Hypothesis, left, null, t: Thresholds) -> str:
+    """What speaks against an effect that is not at the floor, from its parameters and its errors."""
+    if at_bound(h):
+        return f"{at_bound(h)[0]} went to its bound and the error is not at the floor"
+    if outside(h, t.reach):
+        return f"{outside(h, t.reach)[0]} had to leave its tolerance and the error is not at the floor"
+    gain = likelihood_gain(problem, h)
+    if gain < t.evidence:
+        return f"the held-out log-likelihood rose by {gain:.0f} only, once residuals are made white"
+    trained = np.mean((problem.train.Y - h.fit.Y) ** 2, axis=0) / _floor(problem, t) ** 2
+    if np.all(trained < t.left) and np.any((left > t.outgrown * np.maximum(trained, 1.0)) & (left > t.residue * null)):
+        return f"it fits the training recordings to the floor and leaves {np.max(left / trained):.0f} times as much " \
+               "on held-out ones"
+    return ""
+
+
+def still_explained(problem: Problem, h: Hypothesis, t: Thresholds) -> str:
+    """Whether the inputs predict, or maps of states, inputs and outputs explain, a material part of what is left.
+
+    The null's answer does not depend on how quiet the noise is: what can be explained there is missing.
+    """
+    left = over_floor(problem, h.test.Y, t)
+    null = over_floor(problem, problem.null_test.Y, t)
+    loud = left < (t.quiet if h.located else np.inf)
+    rest = predicted_rest(problem, h, left, t)
+    if np.any(loud & (rest * left > np.maximum(t.trace * null, t.left))):
+        return f"the inputs still predict {100 * float(np.max(rest)):.0f} % of what it leaves"
+    maps = leftover(problem, h.fit, h.test)
+    if maps is None or maps.validated < t.validated:
+        return ""
+    floor = _floor(problem, t) ** 2
+    before, removed = maps.before / floor, (maps.before - maps.after) / floor
+    found = loud & (removed > t.mapped * np.maximum(before - 1.0, t.near - 1.0)) & (removed > t.residue * null)
+    if found.any():
+        part = 100 * float(np.max((removed / before)[found]))
+        return f"maps of states and inputs still explain {part:.0f} % of what it leaves"
+    if maps.validated > t.certain and np.any(loud & (left > t.near) & (left > t.residue * null)):
+        return f"maps of states and inputs explain {100 * maps.validated:.0f} % of what it leaves in training"
+    return ""
+
+
+def _floor(problem: Problem, t: Thresholds) -> np.ndarray:
+    """The floor of each output, or a trifle of the output."""
+    return np.maximum(problem.floor.level, t.trifle * np.std(problem.train.Y, axis=0))
+
+
+def over_floor(problem: Problem, Y, t: Thresholds) -> np.ndarray:
+    """Held-out mean square of each output relative to the floor's, or to a trifle of the output."""
+    return np.mean((problem.test.Y - Y) ** 2, axis=0) / _floor(problem, t) ** 2
+
+
+def predicted_rest(problem: Problem, h: Hypothesis, left, t: Thresholds) -> np.ndarray:
+    """Share of each output's rest that follows from the inputs; 0 where it is small or the error at the floor."""
+    rest = predictability(problem.train, h.fit, problem.test, h.test, problem.structure.time_scale)
+    return np.where((left >= t.left) & (rest > t.left_predicted), rest, 0.0)
+
+
+def likelihood_gain(problem: Problem, h: Hypothesis) -> float:
+    """Held-out log-likelihood of h over the null, both under the noise model of what h leaves in training."""
+    noise = fit_noise(problem.train.Y - h.fit.Y, problem.train.segments)
+    before = noise.innovations(problem.test.Y - problem.null_test.Y, problem.test.segments)
+    after = noise.innovations(problem.test.Y - h.test.Y, problem.test.segments)
+    return 0.5 * float(np.sum(before**2) - np.sum(after**2))

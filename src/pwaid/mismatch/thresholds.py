@@ -1,0 +1,38 @@
+"""The numbers a verdict depends on, set on calibration cases and frozen (docs/mismatch.md says how)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+__all__ = ["Thresholds"]
+
+
+@dataclass(frozen=True)
+class Thresholds:
+    """The numbers a verdict depends on."""
+
+    material: float = 1.3  # held-out mean square of the null, relative to the floor's, that counts as a mismatch
+    trifle: float = 2e-3  # of an output's standard deviation: an error below it is never a mismatch
+    small: float = 0.15  # of an output's standard deviation: a residual below it may be a mere disturbance ...
+    predicted: float = 0.15  # ... when past inputs predict less than this share of it
+    share: float = 0.5  # of the explainable held-out error, with a trusted floor
+    share_tentative: float = 0.45  # without one
+    second_share: float = 0.35  # of what the single effect left
+    nested_gain: float = 0.1  # error the larger of two nested laws must remove beyond the smaller
+    nested_share: float = 0.002  # ... and its share of the null's error
+    rival: float = 1.15  # error ratio within which a rival of another law is not excluded
+    wins: float = 0.8  # share of block bootstraps the winner must win
+    left: float = 2.0  # held-out mean square after an effect, relative to the floor's, that needs no excuse ...
+    left_predicted: float = 0.3  # ... beyond it, no more of it than this may follow from the inputs,
+    trace: float = 0.05  # (unless that is less than this share of what there was to explain)
+    quiet: float = 100.0  # (unless noise is so small beside what is left that no simulator would do,)
+    reach: float = 2.9  # ... nor may a nominal parameter have moved by more than this many tolerances,
+    near: float = 1.3  # times the floor's mean square: what is left beyond it is searched by maps ...
+    mapped: float = 0.3  # ... which may remove no more than this share of it, held out,
+    validated: float = 0.15  # (where they explain at least this share in blocks of training time left out,)
+    certain: float = 0.5  # (nor may they explain more than this share there, whatever they do on held-out ones,)
+    residue: float = 0.002  # (unless it is less than this share of the null's error,)
+    outgrown: float = 4.0  # ... nor, with training at the floor, may held-out recordings leave this many times more,
+    outdone: float = 0.5  # nor may a law that is refused so leave less than this share of what the effect leaves,
+    evidence: float = 50.0  # ... and the held-out log-likelihood, residuals made white, must have risen by this much
+    moved: float = 0.02  # a parameter that moved by this share of its value counts as wrong

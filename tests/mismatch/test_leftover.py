@@ -1,0 +1,83 @@
+"""What maps still explain of what a hypothesis leaves: much for a stand-in, nothing for the law or a disturbance."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy.signal import lfilter
+from tests_support import TRUE, oscillator, record
+
+from pwaid.mismatch import Thresholds
+from pwaid.mismatch.decide import _not_outdone, decide
+from pwaid.mismatch.effects.registry import effect_by_id
+from pwaid.mismatch.explain import collect
+from pwaid.mismatch.leftover import leftover
+from pwaid.mismatch.screen import lattice
+
+FREE = ["m", "b", "k"]
+
+
+def gathered(recordings, *ids, plant=None):
+    return collect(plant or oscillator(), recordings[:2], recordings[2:], FREE,
+                   effects=[e for i in ids for e in effect_by_id(i)])
+
+
+@pytest.fixture(scope="module")
+def rubbing():
+    """Dry friction a tenth of the drive's amplitude."""
+    return [record(s, level=0.06) for s in (1, 2, 3)]
+
+
+def test_maps_explain_what_a_stand_in_leaves_and_not_what_the_law_leaves(rubbing):
+    for name, stands_in in (("hysteretic_spring", True), ("coulomb_friction", False)):
+        evidence = gathered(rubbing, name)
+        h = evidence.singles[0]
+        rest = leftover(evidence.problem, h.fit, h.test)
+        assert (rest.validated > 0.5) == stands_in
+        assert (rest.after[0] < 0.8 * rest.before[0]) == stands_in
+
+
+def test_maps_do_not_explain_a_disturbance():
+    rng = np.random.default_rng(0)
+    disturbed = [r.replace(outputs=r.outputs + lfilter([0.02], [1.0, -0.95], rng.normal(size=r.outputs.shape), axis=0))
+                 for r in (record(s) for s in (4, 5, 6))]
+    problem = gathered(disturbed, "quadratic_drag", plant=oscillator(**TRUE)).problem
+    rest = leftover(problem, problem.null, problem.null_test)
+    assert rest.before[0] > 25 * problem.floor.level[0] ** 2  # the disturbance is far above the white noise
+    assert rest.after[0] > 0.9 * rest.before[0]
+
+
+def test_a_stand_in_for_a_law_left_out_is_refused(rubbing):
+    evidence = gathered(rubbing, "hysteretic_spring", "actuator_deadzone")
+    strict, lenient = (decide(evidence.problem, evidence.null, evidence.singles, (), t)
+                       for t in (Thresholds(), Thresholds(validated=1.0)))
+    assert strict.verdict == "unexplained"
+    assert any("maps of states and inputs still explain" in r for r in strict.reasons)
+    assert lenient.verdict == "named"  # without the maps the stand-in passes
+
+
+def test_a_small_error_that_maps_explain_is_no_disturbance(rubbing):
+    evidence = gathered(rubbing, "quadratic_drag")
+    assert decide(evidence.problem, evidence.null, evidence.singles, ()).verdict == "unexplained"
+    assert decide(evidence.problem, evidence.null, evidence.singles, (), Thresholds(validated=1.0)).verdict == (
+        "parameters_only")
+
+
+def test_a_law_is_not_named_when_a_refused_one_leaves_much_less(rubbing):
+    evidence = gathered(rubbing, "coulomb_friction", "hysteretic_spring")
+    weaker = next(h for h in evidence.singles if h.ids == ("hysteretic_spring",))
+    better = next(h for h in evidence.singles if h.ids == ("coulomb_friction",))
+    reasons = []
+    assert _not_outdone([weaker], [better], Thresholds(), reasons) == []
+    assert "itself refused" in reasons[0]
+    assert _not_outdone([better], [weaker], Thresholds(), reasons) == [better]
+
+
+@pytest.mark.parametrize("step", [0.1, 0.37])
+def test_the_step_of_a_quantised_signal_is_read_from_its_lattice(step):
+    rng = np.random.default_rng(1)
+    y = np.cumsum(rng.normal(size=3000)) * 0.05
+    assert lattice(step * np.round(y / step)) == pytest.approx(step, rel=1e-9)
+    assert lattice(y) == 0.0
+    assert lattice(np.zeros(100)) == 0.0
+    assert lattice(rng.choice([0.0, 0.1, 0.25, np.pi], 400)) == 0.0
