@@ -80,8 +80,8 @@ class Problem:
     def _starts_from(self, fit: Fit, X0) -> Fit:
         return fit_starts(fit.model, self.test, self.sigma, fit.theta, X0, self.ranges)
 
-    def _scans(self, fit: Fit, X0, count: int = 24):
-        """Start states with one unseen state at its best value of a scan, one array per unseen state."""
+    def _scans(self, fit: Fit, X0, count: int = 48, best: int = 3):
+        """Start states with one unseen state at the deepest valleys of a scan, `best` arrays per unseen state."""
         found = []
         for i in self.unseen if fit.model.located else ():
             values = np.linspace(self.structure.low[i], self.structure.high[i], count)
@@ -89,7 +89,10 @@ class Problem:
             trials[:, :, i] = values[:, None]
             runs = [fit.model.simulate(fit.theta, x, self.test) for x in trials]
             sums = np.array([self._by_segment(replace(fit, Y=Y, X=X)) for Y, X in runs])
-            found.append(trials[np.argmin(sums, axis=0), np.arange(len(X0))])
+            padded = np.pad(sums, ((1, 1), (0, 0)), constant_values=np.inf)
+            valley = np.where((sums <= padded[:-2]) & (sums <= padded[2:]), sums, np.inf)
+            order = np.argsort(valley, axis=0)[:best]
+            found += [trials[row, np.arange(len(X0))] for row in order]
         return found
 
     @cached_property
