@@ -12,48 +12,16 @@ from typing import Any
 
 import numba
 import numpy as np
-from llvmlite import ir
-from numba import types
-from numba.extending import get_cython_function_address, intrinsic
 from scipy import sparse
 
+from pwaid import dense
 from pwaid.dissection import dissect
 
 __all__ = ["NormalMatrix"]
 
-def _addresses(letter: str) -> np.ndarray:
-    """The routines for one precision ("s" or "d")."""
-    lapack = [get_cython_function_address("scipy.linalg.cython_lapack", letter + "potrf")]
-    names = ("trsm", "syrk", "trsv", "gemv", "gemm")
-    blas = [get_cython_function_address("scipy.linalg.cython_blas", letter + name) for name in names]
-    return np.array(lapack + blas, dtype=np.int64)
-
-
-_POTRF, _TRSM, _SYRK, _TRSV, _GEMV, _GEMM = range(6)
-# The letters that BLAS takes, and numbers; both are passed by address.
-_LETTERS = np.frombuffer(b"LNTR", dtype=np.uint8).copy()
-_L, _N, _T, _R = range(4)
-_NUMBERS = np.array([1.0, -1.0, 0.0])
-# Columns of a front factorised at a time: triangular solves are slow, so little is left to them.
-_BLOCK = 32
+_LETTERS = dense.letters()
 # A factorisation in single precision passes when a solve with it leaves at most this fraction of the right-hand side.
 _PROBE_LEFT = 1e-2
-
-
-@intrinsic
-def _call(typingctx, address, arguments):
-    """Call the routine at `address`; all its arguments are addresses, as in Fortran."""
-
-    def generate(context, builder, signature, values):
-        pointer = ir.IntType(8).as_pointer()
-        given = [
-            builder.inttoptr(builder.extract_value(values[1], i), pointer) for i in range(signature.args[1].count)
-        ]
-        routine = ir.FunctionType(ir.VoidType(), [pointer] * len(given)).as_pointer()
-        builder.call(builder.inttoptr(values[0], routine), given)
-        return context.get_dummy_value()
-
-    return types.void(types.int64, arguments), generate
 
 
 class NormalMatrix:
@@ -117,20 +85,17 @@ class NormalMatrix:
         worked = _factorise(
             store.panels, tree.panel_starts, tree.starts, tree.parents, tree.row_starts, tree.places, tree.run_ends,
             tree.n_inner, store.stack, tree.stack_starts[0], places, self._entry_starts, self._values, shift,
-            np.empty(6, np.int32), store.routines, _LETTERS, store.numbers,
+            store.pivots, np.empty(6, np.int32), store.routines, _LETTERS, store.numbers,
         )  # fmt: skip
         return worked and (not single or self._passes(weights, diagonal))
 
     def solve(self, b: np.ndarray) -> np.ndarray:
         """K⁻¹ b for the last factorisation, b of shape (n,)."""
-        tree, store = self.tree, self._store
-        x = (b[tree.order] * self._scale).astype(store.panels.dtype)
+        tree, store, out = self.tree, self._store, np.empty(self.tree.order.size)
         _solve(
-            store.panels, tree.panel_starts, tree.starts, tree.row_starts, tree.rows, x, store.work,
-            np.empty(4, np.int32), store.routines, _LETTERS, store.numbers,
+            store.panels, tree.panel_starts, tree.starts, tree.row_starts, tree.rows, store.pivots, tree.order,
+            self._scale, b, store.x, store.work, out,
         )  # fmt: skip
-        out = np.empty_like(b)
-        out[tree.order] = self._scale * x
         return out
 
     def _passes(self, weights: np.ndarray, diagonal: np.ndarray | None) -> bool:
@@ -150,9 +115,10 @@ class _Store:
         dtype = np.float32 if single else np.float64
         self.panels = np.zeros(tree.n_stored, dtype)
         self.stack = np.empty(max(1, tree.stack_starts[1]), dtype)
-        self.work = np.empty(int(np.diff(tree.row_starts).max(initial=1)), dtype)
-        self.routines = _addresses("s" if single else "d")
-        self.numbers = _NUMBERS.astype(dtype)
+        self.pivots, self.x = np.empty(tree.order.size, dtype), np.empty(tree.order.size, dtype)
+        self.work = np.empty(int((np.diff(tree.starts) + np.diff(tree.row_starts)).max(initial=1)), dtype)
+        self.routines = dense.routines("s" if single else "d")
+        self.numbers = dense.numbers(dtype)
 
 
 def _gather(H: sparse.csc_matrix, F: sparse.csr_matrix, tree: Any) -> tuple[np.ndarray, ...]:
@@ -224,51 +190,13 @@ def _extend_add(target, stride, shift, child, places, run_ends, low, high):
 
 
 @numba.njit(cache=True)
-def _eliminate(at, unit, k, size, ints, chars, reals, integers, routines):
-    """Factorise a front's k columns in place, a block of columns at a time; whether it worked.
-
-    `unit` is the size of a number in bytes; `ints`, `chars`, `reals` are addresses.
-
-    A block is brought up to date by one product with all columns before it, its diagonal part factorised, and the
-    rows below solved with that. `integers` holds: columns, rows, stride, info, columns before, rows below.
-    """
-    integers[2] = size
-    for j in range(0, k, _BLOCK):
-        width = min(_BLOCK, k - j)
-        corner = at + unit * (j * size + j)
-        integers[0], integers[1], integers[3] = width, size - j, 0
-        integers[4], integers[5] = j, size - j - width
-        if j > 0:
-            left = at + unit * j
-            _call(
-                routines[5],
-                (
-                    chars + 1, chars + 2, ints + 4, ints, ints + 16, reals + unit, left, ints + 8, left, ints + 8,
-                    reals, corner, ints + 8,
-                ),
-            )  # fmt: skip
-        _call(routines[0], (chars, ints, corner, ints + 8, ints + 12))
-        if integers[3] != 0:
-            return False
-        if integers[5] > 0:
-            _call(
-                routines[1],
-                (
-                    chars + 3, chars, chars + 2, chars + 1, ints + 20, ints, reals, corner, ints + 8,
-                    corner + unit * width, ints + 8,
-                ),
-            )  # fmt: skip
-    return True
-
-
-@numba.njit(cache=True)
 def _factorise(
     panels, panel_starts, starts, parents, row_starts, places, run_ends, n_inner, stack, stack_starts, entry_places,
-    entry_starts, values, shift, integers, routines, letters, numbers,
+    entry_starts, values, shift, pivots, integers, routines, letters, numbers,
 ):  # fmt: skip
-    n_fronts, unit = parents.size, panels.itemsize
+    """Factorise front by front; `pivots` takes the reciprocals of L's diagonal. Whether it worked."""
+    n_fronts = parents.size
     child, sibling = np.full(n_fronts, -1), np.full(n_fronts, -1)
-    ints, chars, reals = integers.ctypes.data, letters.ctypes.data, numbers.ctypes.data
     for f in range(n_fronts):
         k = starts[f + 1] - starts[f]
         m = row_starts[f + 1] - row_starts[f]
@@ -279,8 +207,7 @@ def _factorise(
         for v in range(k):
             panel[v * (k + m) + v] *= 1.0 + shift
         update = stack[stack_starts[f] : stack_starts[f] + m * m]
-        for j in range(m):
-            update[j * m + j : (j + 1) * m] = 0.0
+        update[:] = 0.0
         c = child[f]
         while c >= 0:
             first, end, inner = row_starts[c], row_starts[c + 1], n_inner[c]
@@ -288,18 +215,10 @@ def _factorise(
             _extend_add(panel, k + m, 0, its, to, ends, 0, inner)
             _extend_add(update, m, k, its, to, ends, inner, end - first)
             c = sibling[c]
-        at = panel.ctypes.data
-        if not _eliminate(at, unit, k, k + m, ints, chars, reals, integers, routines):
+        if not dense.partial_cholesky(panel, update, k, m, integers, routines, letters, numbers):
             return False
-        if m > 0:
-            integers[0], integers[1] = k, m
-            _call(
-                routines[2],
-                (
-                    chars, chars + 1, ints + 4, ints, reals + unit, at + unit * k, ints + 8, reals, update.ctypes.data,
-                    ints + 4,
-                ),
-            )  # fmt: skip
+        for v in range(k):
+            pivots[starts[f] + v] = 1.0 / panel[v * (k + m) + v]
         p = parents[f]
         if p >= 0:
             sibling[f] = child[p]
@@ -308,43 +227,29 @@ def _factorise(
 
 
 @numba.njit(cache=True)
-def _solve(panels, panel_starts, starts, row_starts, rows, x, work, integers, routines, letters, numbers):
-    n_fronts, unit = starts.size - 1, panels.itemsize
-    ints, chars, reals = integers.ctypes.data, letters.ctypes.data, numbers.ctypes.data
-    integers[3] = 1
+def _solve(panels, panel_starts, starts, row_starts, rows, pivots, order, scale, b, x, work, out):
+    """Both triangular solves; x and work are work."""
+    n_fronts = starts.size - 1
+    for i in range(order.size):
+        x[i] = b[order[i]] * scale[i]
     for f in range(n_fronts):
-        k = starts[f + 1] - starts[f]
-        m = row_starts[f + 1] - row_starts[f]
-        integers[0], integers[1], integers[2] = k, m, k + m
-        at = panels.ctypes.data + unit * panel_starts[f]
-        here = x.ctypes.data + unit * starts[f]
-        _call(routines[3], (chars, chars + 1, chars + 1, ints, at, ints + 8, here, ints + 12))
-        if m > 0:
-            _call(
-                routines[4],
-                (
-                    chars + 1, ints + 4, ints, reals, at + unit * k, ints + 8, here, ints + 12, reals + 2 * unit,
-                    work.ctypes.data, ints + 12,
-                ),
-            )  # fmt: skip
-            first = row_starts[f]
-            for t in range(m):
-                x[rows[first + t]] -= work[t]
+        begin, k = starts[f], starts[f + 1] - starts[f]
+        later = rows[row_starts[f] : row_starts[f + 1]]
+        w = work[: k + later.size]
+        w[:k] = x[begin : begin + k]
+        w[k:] = 0.0
+        dense.forward_substitute(panels[panel_starts[f] : panel_starts[f + 1]], pivots[begin : begin + k], k, w)
+        x[begin : begin + k] = w[:k]
+        for t in range(later.size):
+            x[later[t]] += w[k + t]
     for f in range(n_fronts - 1, -1, -1):
-        k = starts[f + 1] - starts[f]
-        m = row_starts[f + 1] - row_starts[f]
-        integers[0], integers[1], integers[2] = k, m, k + m
-        at = panels.ctypes.data + unit * panel_starts[f]
-        here = x.ctypes.data + unit * starts[f]
-        if m > 0:
-            first = row_starts[f]
-            for t in range(m):
-                work[t] = x[rows[first + t]]
-            _call(
-                routines[4],
-                (
-                    chars + 2, ints + 4, ints, reals + unit, at + unit * k, ints + 8, work.ctypes.data, ints + 12,
-                    reals, here, ints + 12,
-                ),
-            )  # fmt: skip
-        _call(routines[3], (chars, chars + 2, chars + 1, ints, at, ints + 8, here, ints + 12))
+        begin, k = starts[f], starts[f + 1] - starts[f]
+        later = rows[row_starts[f] : row_starts[f + 1]]
+        w = work[: k + later.size]
+        w[:k] = x[begin : begin + k]
+        for t in range(later.size):
+            w[k + t] = x[later[t]]
+        dense.back_substitute(panels[panel_starts[f] : panel_starts[f + 1]], pivots[begin : begin + k], k, w)
+        x[begin : begin + k] = w[:k]
+    for i in range(order.size):
+        out[order[i]] = x[i] * scale[i]

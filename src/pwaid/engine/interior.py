@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -156,69 +155,58 @@ class Direction:
         self.rows = np.zeros((3, state.nu.size))
         self.dlam, self.longest = 0.0, np.inf
 
-    def residuals(self) -> tuple[np.ndarray, np.ndarray]:
-        """What the iterate lacks in c = Hv + Fᵀν and in Fv = p − q."""
-        point = self.ops.at(self.state)
-        return point.left_over, self.state.p - self.state.q - point.hinges
+    def plus(self, side: np.ndarray, rd: np.ndarray | None = None) -> Direction:
+        """This direction and that of a right-hand side (`kernels`); no rd: zero."""
+        return self._moved(self._solved(side, rd), 0.0, side)
 
-    def plus(self, ra: np.ndarray, rb: np.ndarray, rd: np.ndarray | None = None, rp: Any = 0.0) -> Direction:
-        """This direction and that of a right-hand side; no rd, rp: zero."""
-        dv, dnu = self._solved(ra, rb, rd, rp)
-        return self._moved(dv, dnu, 0.0, ra, rb)
+    def _solved(self, side: np.ndarray, rd: np.ndarray | None) -> np.ndarray:
+        """Δv of a right-hand side for Δλ = 0."""
+        right = self.ops.FT @ side[2]
+        return self.ops.K.solve(right if rd is None else rd + right)
 
-    def _solved(self, ra, rb, rd, rp) -> tuple[np.ndarray, np.ndarray]:
-        """Δv and Δν of a right-hand side for Δλ = 0."""
-        ops, s = self.ops, self.state
-        g = kernels.reduce(self.D, rp, ra, rb, s.nu, s.lam)
-        right = ops.FT @ g
-        dv = ops.K.solve(right if rd is None else rd + right)
-        return dv, kernels.multiplier_step(ops.F.indptr, ops.F.indices, ops.F.data, dv, self.D, g)
-
-    def _moved(self, dv, dnu, dlam, ra, rb) -> Direction:
+    def _moved(self, dv: np.ndarray, dlam: float, side: np.ndarray) -> Direction:
         s, out = self.state, copy.copy(self)
         out.dv, out.dlam = self.dv + dv, self.dlam + dlam
-        out.rows, out.longest = kernels.expand(dnu, dlam, ra, rb, s.p, s.q, s.nu, s.lam, self.rows, self.dlam)
+        out.rows, out.longest = kernels.expand(
+            self.ops.F @ dv, self.D, side, dlam, s.p, s.q, s.nu, s.lam, self.rows, self.dlam
+        )
         return out
-
-    @property
-    def parts(self) -> tuple:
-        """What the kernels take of iterate and direction."""
-        s = self.state
-        return s.p, s.q, s.nu, s.lam, *self.rows, self.dlam
 
     def taken(self, step: float) -> InteriorState:
         """The iterate after the step."""
-        s, (dp, dq, dnu) = self.state, self.rows
+        s = self.state
         lam = s.lam + step * self.dlam
-        inside = lam * (1.0 - CLEARANCE)
-        nu = np.clip(s.nu + step * dnu, -inside, inside)
-        return InteriorState(s.v + step * self.dv, s.p + step * dp, s.q + step * dq, nu, lam)
+        p, q, nu = kernels.taken(s.p, s.q, s.nu, self.rows, step, lam * (1.0 - CLEARANCE))
+        return InteriorState(s.v + step * self.dv, p, q, nu, lam)
 
 
 def advance(direction: Direction) -> Progress:
     """One iteration over a fresh factorisation: predict, correct, centre, step."""
-    s = direction.state
-    ra, rb = np.empty_like(s.nu), np.empty_like(s.nu)
-    kernels.products(s.p, s.q, s.nu, s.lam, ra, rb)
-    direction = direction.plus(ra, rb, *direction.residuals())
-    mu, alpha = s.mu, min(1.0, direction.longest)
-    after = kernels.trial(*direction.parts, alpha)
+    s, D = direction.state, direction.D
+    point, side = direction.ops.at(s), np.empty((3, D.size))
+    kernels.predictor_side(s.p, s.q, s.nu, s.lam, D, point.hinges, side)
+    direction = direction.plus(side, point.left_over)
+    mu = s.mu
+    after = kernels.trial(s.p, s.q, s.nu, s.lam, direction.rows, direction.dlam, min(1.0, direction.longest))
     target = mu * min(1.0, max(LEAST_TARGET, AMBITION * (after / mu) ** 3))
-    kernels.second_order(*direction.rows, direction.dlam, target, ra, rb)
-    direction = direction.plus(ra, rb)
+    kernels.corrector_side(s.nu, s.lam, direction.rows, direction.dlam, D, target, side)
+    direction = direction.plus(side)
     for _ in range(CORRECTORS):
         alpha = direction.longest
         if alpha >= GOOD_STEP:
             break
-        kernels.centrality_targets(*direction.parts, min(1.0, alpha + STRETCH), target, LOW, HIGH, ra, rb)
-        better = direction.plus(ra, rb)
+        reach = min(1.0, alpha + STRETCH)
+        kernels.centrality_side(
+            s.p, s.q, s.nu, s.lam, direction.rows, direction.dlam, D, reach, target, LOW, HIGH, side
+        )
+        better = direction.plus(side)
         gain = better.longest - alpha
         if gain > 0.0:
             direction = better
         if gain < LEAST_GAIN:
             break
     step = min(1.0, TO_BOUNDARY * direction.longest)
-    return Progress(direction.taken(step), direction.D, step)
+    return Progress(direction.taken(step), D, step)
 
 
 def begin_direction(ops: Operators, s: InteriorState) -> Direction | None:
