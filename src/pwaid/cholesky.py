@@ -44,10 +44,10 @@ class NormalMatrix:
         pattern = sparse.csr_matrix(ones.T @ ones + filled + sparse.eye_array(n))
         self.tree = tree = dissect(pattern.indptr, pattern.indices, coordinates)
         self._H, self._F, self._FT = H, F, F.T.tocsr()
-        self._entries = _gather(H, F, tree)
-        self._entry_starts = np.searchsorted(self._entries[0], tree.panel_starts)
-        self._values = np.empty(self._entries[0].size)
-        self._diagonal = np.searchsorted(self._entries[0], tree.entries(tree.order, tree.order))
+        self._terms = _terms(H, F, tree)
+        self._entry_starts = np.searchsorted(self._terms[0], tree.panel_starts)
+        self._values = np.empty(self._terms[0].size)
+        self._diagonal = np.searchsorted(self._terms[0], tree.entries(tree.order, tree.order))
         self._scale = np.ones(n)
         self._stores: dict[bool, _Store] = {}
         self._store: _Store | None = None
@@ -78,14 +78,14 @@ class NormalMatrix:
             leaves more than 1 % of its right-hand side.
         """
         self.n_factorisations += 1
-        tree, (places, *sums) = self.tree, self._entries
+        tree, (places, *sums) = self.tree, self._terms
         h_factor, added = (1.0, np.zeros(1)) if diagonal is None else (0.0, diagonal[tree.order])
         _scaled_values(self._values, self._scale, *sums, weights, h_factor, added, self._diagonal)
         self._store = store = self._stores.setdefault(single, _Store(tree, single))
         worked = _factorise(
-            store.panels, tree.panel_starts, tree.starts, tree.parents, tree.row_starts, tree.places, tree.run_ends,
-            tree.n_inner, store.stack, tree.stack_starts[0], places, self._entry_starts, self._values, shift,
-            store.pivots, np.empty(6, np.int32), store.routines, _LETTERS, store.numbers,
+            store.panels, tree.panel_starts, tree.starts, tree.parents, tree.row_starts, tree.places, tree.n_inner,
+            store.stack, tree.stack_starts[0], places, self._entry_starts, self._values, shift, store.pivots,
+            np.empty(6, np.int32), store.routines, _LETTERS, store.numbers,
         )  # fmt: skip
         return worked and (not single or self._passes(weights, diagonal))
 
@@ -121,11 +121,11 @@ class _Store:
         self.numbers = dense.numbers(dtype)
 
 
-def _gather(H: sparse.csc_matrix, F: sparse.csr_matrix, tree: Any) -> tuple[np.ndarray, ...]:
-    """The entries of K below the diagonal, in the order of their places.
+def _terms(H: sparse.csc_matrix, F: sparse.csr_matrix, tree: Any) -> tuple[np.ndarray, ...]:
+    """The entries of K below the diagonal, in the order of their places, and the terms they are sums of.
 
-    Returns their places, positions in the order of elimination (two arrays), H's values, and what sums to FᵀDF: where
-    the terms of each entry begin, the row of F of each term, and the product of two of its entries.
+    Returns their places, positions in the order of elimination (two arrays), H's values; and for FᵀDF, row by row of
+    F, where each row's terms begin, the entry each term goes to, and the product of two of the row's entries.
     """
     counts = np.diff(F.indptr)
     starts = np.concatenate([[0], np.cumsum(counts * (counts + 1) // 2)])
@@ -136,15 +136,12 @@ def _gather(H: sparse.csc_matrix, F: sparse.csr_matrix, tree: Any) -> tuple[np.n
     of_diagonal = tree.entries(tree.order, tree.order)
     places, first = np.unique(np.concatenate([of_h, of_f, of_diagonal]), return_index=True)
     one, other = (
-        tree.position[np.concatenate([a, b, tree.order])[first]].astype(np.int32)
+        tree.position[np.concatenate([a, b, tree.order])[first]].astype(np.uint32)
         for a, b in zip(upper.coords, (i, j), strict=True)
     )
     h_values = np.zeros(places.size)
     h_values[np.searchsorted(places, of_h)] = upper.data
-    row = np.repeat(np.arange(F.shape[0], dtype=np.int32), np.diff(starts))
-    order = np.argsort(of_f, kind="stable")
-    begins = np.searchsorted(of_f[order], np.append(places, tree.n_stored))
-    return places, one, other, h_values, begins, row[order], values[order]
+    return places, one, other, h_values, starts, np.searchsorted(places, of_f).astype(np.uint32), values
 
 
 @numba.njit(cache=True)
@@ -158,13 +155,13 @@ def _pairs(indptr, indices, data, starts, i, j, values):
 
 
 @numba.njit(cache=True)
-def _scaled_values(out, scale, one, other, h_values, begins, rows, values, weights, h_factor, added, diagonal):
+def _scaled_values(out, scale, one, other, h_values, starts, entries, values, weights, h_factor, added, diagonal):
     """The entries of K, scaled to a unit diagonal by `scale` on either side."""
     for e in range(out.size):
-        total = h_factor * h_values[e]
-        for t in range(begins[e], begins[e + 1]):
-            total += weights[rows[t]] * values[t]
-        out[e] = total
+        out[e] = h_factor * h_values[e]
+    for r in range(weights.size):
+        for t in range(starts[r], starts[r + 1]):
+            out[entries[t]] += weights[r] * values[t]
     for v in range(diagonal.size):
         out[diagonal[v]] += added[v % added.size]
         d = out[diagonal[v]]
@@ -174,24 +171,19 @@ def _scaled_values(out, scale, one, other, h_values, begins, rows, values, weigh
 
 
 @numba.njit(cache=True)
-def _extend_add(target, stride, shift, child, places, run_ends, low, high):
+def _extend_add(target, stride, shift, child, places, low, high):
     """Add columns low … high − 1 of a child's update matrix to its parent's columns or update matrix."""
     mc = places.size
     for j in range(low, high):
-        column = (places[j] - shift) * stride - shift
-        i = j
-        while i < mc:
-            length = run_ends[i] - i
-            into = target[column + places[i] : column + places[i] + length]
-            added = child[j * mc + i : j * mc + i + length]
-            for t in range(length):
-                into[t] += added[t]
-            i += length
+        column = np.uint64((places[j] - shift) * stride - shift)  # unsigned: no test for negative places
+        added, rows = child[j * mc + j : (j + 1) * mc], places[j:]
+        for t in range(rows.size):
+            target[np.uint64(rows[t]) + column] += added[t]
 
 
 @numba.njit(cache=True)
 def _factorise(
-    panels, panel_starts, starts, parents, row_starts, places, run_ends, n_inner, stack, stack_starts, entry_places,
+    panels, panel_starts, starts, parents, row_starts, places, n_inner, stack, stack_starts, entry_places,
     entry_starts, values, shift, pivots, integers, routines, letters, numbers,
 ):  # fmt: skip
     """Factorise front by front; `pivots` takes the reciprocals of L's diagonal. Whether it worked."""
@@ -211,9 +203,9 @@ def _factorise(
         c = child[f]
         while c >= 0:
             first, end, inner = row_starts[c], row_starts[c + 1], n_inner[c]
-            its, to, ends = stack[stack_starts[c] :], places[first:end], run_ends[first:end]
-            _extend_add(panel, k + m, 0, its, to, ends, 0, inner)
-            _extend_add(update, m, k, its, to, ends, inner, end - first)
+            its, to = stack[stack_starts[c] :], places[first:end]
+            _extend_add(panel, k + m, 0, its, to, 0, inner)
+            _extend_add(update, m, k, its, to, inner, end - first)
             c = sibling[c]
         if not dense.partial_cholesky(panel, update, k, m, integers, routines, letters, numbers):
             return False

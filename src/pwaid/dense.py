@@ -20,7 +20,7 @@ _POTRF, _TRSM, _SYRK, _GEMM = range(4)
 # Columns factorised at a time by the BLAS: triangular solves are slow, so little is left to them.
 _BLOCK = 32
 # Fronts of at most this many rows are factorised without the BLAS.
-_SMALL = 64
+_SMALL = 96
 
 _compiled = numba.njit(cache=True, error_model="numpy", fastmath={"contract", "reassoc", "nsz"})
 

@@ -23,7 +23,7 @@ import numpy as np
 from scipy import linalg, sparse
 
 from pwaid.engine import kernels
-from pwaid.engine.interior import Direction, InteriorState, Operators, Progress, advance
+from pwaid.engine.interior import CENTRAL, Direction, InteriorState, Operators, Progress, advance
 from pwaid.errors import InputError, SolverError
 from pwaid.problem import HingeProblem
 
@@ -116,7 +116,7 @@ def _bounds(ops: Operators, affine: np.ndarray, norms: np.ndarray, tol: float) -
         direction = _begin(ops, state, held)
         if direction is None or not direction.stiffness > 0.0:
             break
-        progress = advance(direction)
+        progress = advance(direction, CENTRAL)
         state, before = progress.state, upper - lower
         v = state.v - affine @ (affine.T @ state.v)
         spent = float(np.abs(ops.F @ v).sum())

@@ -28,6 +28,9 @@ from pwaid.engine import kernels
 from pwaid.problem import HingeProblem
 
 __all__ = [
+    "CENTRAL",
+    "QUICK",
+    "Centring",
     "Direction",
     "DualPoint",
     "InteriorState",
@@ -41,16 +44,10 @@ __all__ = [
     "shifted",
 ]
 
-# Gondzio's correctors: how many at most, how much longer a step each tries, which products it leaves alone.
 CORRECTORS = 8
-STRETCH = 0.2
-LOW, HIGH = 0.2, 10.0
 LEAST_GAIN = 0.01
 TO_BOUNDARY = 0.99
-GOOD_STEP = 0.95
 LEAST_TARGET = 1e-6
-# The target μ is this fraction of Mehrotra's: the correctors make up for it.
-AMBITION = 0.5
 # Solves that make a dual point fulfil its equation: at most this many.
 REFINEMENTS = 3
 # λ − |ν| stays above this fraction of λ, so that rounding never makes it 0.
@@ -59,6 +56,34 @@ CLEARANCE = 1e-15
 SINGLE_PAYS = 2e8
 # Diagonal shifts tried, as fractions of the diagonal, when rounding makes a factorisation break down.
 SHIFTS = (0.0, 1e-14, 1e-12, 1e-10, 1e-8)
+
+
+@dataclass(frozen=True)
+class Centring:
+    """How an iteration trades progress for centrality.
+
+    Attributes
+    ----------
+    ambition : float
+        The target μ, as a fraction of Mehrotra's: the correctors make up for it.
+    low, high : float
+        Gondzio's correctors leave products between these multiples of the target alone.
+    stretch : float
+        How much longer a step each corrector tries.
+    enough : float
+        A step this long needs no further corrector.
+    """
+
+    ambition: float
+    low: float
+    high: float
+    stretch: float
+    enough: float
+
+
+# While the iterate may serve as a warm start it stays central; after that each factorisation goes as far as it can.
+CENTRAL = Centring(ambition=0.5, low=0.2, high=10.0, stretch=0.2, enough=0.95)
+QUICK = Centring(ambition=0.1, low=0.5, high=3.0, stretch=0.4, enough=0.9)
 
 
 @dataclass(frozen=True, eq=False)
@@ -180,7 +205,7 @@ class Direction:
         return InteriorState(s.v + step * self.dv, p, q, nu, lam)
 
 
-def advance(direction: Direction) -> Progress:
+def advance(direction: Direction, centring: Centring) -> Progress:
     """One iteration over a fresh factorisation: predict, correct, centre, step."""
     s, D = direction.state, direction.D
     point, side = direction.ops.at(s), np.empty((3, D.size))
@@ -188,17 +213,18 @@ def advance(direction: Direction) -> Progress:
     direction = direction.plus(side, point.left_over)
     mu = s.mu
     after = kernels.trial(s.p, s.q, s.nu, s.lam, direction.rows, direction.dlam, min(1.0, direction.longest))
-    target = mu * min(1.0, max(LEAST_TARGET, AMBITION * (after / mu) ** 3))
+    target = mu * min(1.0, max(LEAST_TARGET, centring.ambition * (after / mu) ** 3))
     kernels.corrector_side(s.nu, s.lam, direction.rows, direction.dlam, D, target, side)
     direction = direction.plus(side)
     for _ in range(CORRECTORS):
         alpha = direction.longest
-        if alpha >= GOOD_STEP:
+        if alpha >= centring.enough:
             break
-        reach = min(1.0, alpha + STRETCH)
+        reach = min(1.0, alpha + centring.stretch)
         kernels.centrality_side(
-            s.p, s.q, s.nu, s.lam, direction.rows, direction.dlam, D, reach, target, LOW, HIGH, side
-        )
+            s.p, s.q, s.nu, s.lam, direction.rows, direction.dlam, D, reach,
+            centring.low * target, centring.high * target, side,
+        )  # fmt: skip
         better = direction.plus(side)
         gain = better.longest - alpha
         if gain > 0.0:

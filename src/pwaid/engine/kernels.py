@@ -102,9 +102,8 @@ def corrector_side(nu, lam, rows, dlam, D, target, out):
 
 
 @_compiled
-def centrality_side(p, q, nu, lam, rows, dlam, D, step, target, low, high, out):
-    """Move products outside [low, high] · target after a step back to that interval's ends (Gondzio)."""
-    least, most = low * target, high * target
+def centrality_side(p, q, nu, lam, rows, dlam, D, step, least, most, out):
+    """Move products outside [least, most] after a step back to that interval's ends (Gondzio)."""
     for i in range(p.size):
         a, b = lam - nu[i], lam + nu[i]
         product = (p[i] + step * rows[0, i]) * (a + step * (dlam - rows[2, i]))
