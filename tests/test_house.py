@@ -26,6 +26,7 @@ ORDER = [
     ["assembly"],
     ["fronts"],
     ["dissection"],
+    ["dense"],
     ["cholesky"],
     ["problem"],
     ["nearest"],

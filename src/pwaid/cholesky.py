@@ -12,48 +12,16 @@ from typing import Any
 
 import numba
 import numpy as np
-from llvmlite import ir
-from numba import types
-from numba.extending import get_cython_function_address, intrinsic
 from scipy import sparse
 
+from pwaid import dense
 from pwaid.dissection import dissect
 
 __all__ = ["NormalMatrix"]
 
-def _addresses(letter: str) -> np.ndarray:
-    """The routines for one precision ("s" or "d")."""
-    lapack = [get_cython_function_address("scipy.linalg.cython_lapack", letter + "potrf")]
-    names = ("trsm", "syrk", "trsv", "gemv", "gemm")
-    blas = [get_cython_function_address("scipy.linalg.cython_blas", letter + name) for name in names]
-    return np.array(lapack + blas, dtype=np.int64)
-
-
-_POTRF, _TRSM, _SYRK, _TRSV, _GEMV, _GEMM = range(6)
-# The letters that BLAS takes, and numbers; both are passed by address.
-_LETTERS = np.frombuffer(b"LNTR", dtype=np.uint8).copy()
-_L, _N, _T, _R = range(4)
-_NUMBERS = np.array([1.0, -1.0, 0.0])
-# Columns of a front factorised at a time: triangular solves are slow, so little is left to them.
-_BLOCK = 32
+_LETTERS = dense.letters()
 # A factorisation in single precision passes when a solve with it leaves at most this fraction of the right-hand side.
 _PROBE_LEFT = 1e-2
-
-
-@intrinsic
-def _call(typingctx, address, arguments):
-    """Call the routine at `address`; all its arguments are addresses, as in Fortran."""
-
-    def generate(context, builder, signature, values):
-        pointer = ir.IntType(8).as_pointer()
-        given = [
-            builder.inttoptr(builder.extract_value(values[1], i), pointer) for i in range(signature.args[1].count)
-        ]
-        routine = ir.FunctionType(ir.VoidType(), [pointer] * len(given)).as_pointer()
-        builder.call(builder.inttoptr(values[0], routine), given)
-        return context.get_dummy_value()
-
-    return types.void(types.int64, arguments), generate
 
 
 class NormalMatrix:
@@ -76,10 +44,10 @@ class NormalMatrix:
         pattern = sparse.csr_matrix(ones.T @ ones + filled + sparse.eye_array(n))
         self.tree = tree = dissect(pattern.indptr, pattern.indices, coordinates)
         self._H, self._F, self._FT = H, F, F.T.tocsr()
-        self._entries = _gather(H, F, tree)
-        self._entry_starts = np.searchsorted(self._entries[0], tree.panel_starts)
-        self._values = np.empty(self._entries[0].size)
-        self._diagonal = np.searchsorted(self._entries[0], tree.entries(tree.order, tree.order))
+        self._terms = _terms(H, F, tree)
+        self._entry_starts = np.searchsorted(self._terms[0], tree.panel_starts)
+        self._values = np.empty(self._terms[0].size)
+        self._diagonal = np.searchsorted(self._terms[0], tree.entries(tree.order, tree.order))
         self._scale = np.ones(n)
         self._stores: dict[bool, _Store] = {}
         self._store: _Store | None = None
@@ -110,27 +78,24 @@ class NormalMatrix:
             leaves more than 1 % of its right-hand side.
         """
         self.n_factorisations += 1
-        tree, (places, *sums) = self.tree, self._entries
+        tree, (places, *sums) = self.tree, self._terms
         h_factor, added = (1.0, np.zeros(1)) if diagonal is None else (0.0, diagonal[tree.order])
         _scaled_values(self._values, self._scale, *sums, weights, h_factor, added, self._diagonal)
         self._store = store = self._stores.setdefault(single, _Store(tree, single))
         worked = _factorise(
-            store.panels, tree.panel_starts, tree.starts, tree.parents, tree.row_starts, tree.places, tree.run_ends,
-            tree.n_inner, store.stack, tree.stack_starts[0], places, self._entry_starts, self._values, shift,
+            store.panels, tree.panel_starts, tree.starts, tree.parents, tree.row_starts, tree.places, tree.n_inner,
+            store.stack, tree.stack_starts[0], places, self._entry_starts, self._values, shift, store.pivots,
             np.empty(6, np.int32), store.routines, _LETTERS, store.numbers,
         )  # fmt: skip
         return worked and (not single or self._passes(weights, diagonal))
 
     def solve(self, b: np.ndarray) -> np.ndarray:
         """K⁻¹ b for the last factorisation, b of shape (n,)."""
-        tree, store = self.tree, self._store
-        x = (b[tree.order] * self._scale).astype(store.panels.dtype)
+        tree, store, out = self.tree, self._store, np.empty(self.tree.order.size)
         _solve(
-            store.panels, tree.panel_starts, tree.starts, tree.row_starts, tree.rows, x, store.work,
-            np.empty(4, np.int32), store.routines, _LETTERS, store.numbers,
+            store.panels, tree.panel_starts, tree.starts, tree.row_starts, tree.rows, store.pivots, tree.order,
+            self._scale, b, store.x, store.work, out,
         )  # fmt: skip
-        out = np.empty_like(b)
-        out[tree.order] = self._scale * x
         return out
 
     def _passes(self, weights: np.ndarray, diagonal: np.ndarray | None) -> bool:
@@ -150,16 +115,17 @@ class _Store:
         dtype = np.float32 if single else np.float64
         self.panels = np.zeros(tree.n_stored, dtype)
         self.stack = np.empty(max(1, tree.stack_starts[1]), dtype)
-        self.work = np.empty(int(np.diff(tree.row_starts).max(initial=1)), dtype)
-        self.routines = _addresses("s" if single else "d")
-        self.numbers = _NUMBERS.astype(dtype)
+        self.pivots, self.x = np.empty(tree.order.size, dtype), np.empty(tree.order.size, dtype)
+        self.work = np.empty(int((np.diff(tree.starts) + np.diff(tree.row_starts)).max(initial=1)), dtype)
+        self.routines = dense.routines("s" if single else "d")
+        self.numbers = dense.numbers(dtype)
 
 
-def _gather(H: sparse.csc_matrix, F: sparse.csr_matrix, tree: Any) -> tuple[np.ndarray, ...]:
-    """The entries of K below the diagonal, in the order of their places.
+def _terms(H: sparse.csc_matrix, F: sparse.csr_matrix, tree: Any) -> tuple[np.ndarray, ...]:
+    """The entries of K below the diagonal, in the order of their places, and the terms they are sums of.
 
-    Returns their places, positions in the order of elimination (two arrays), H's values, and what sums to FᵀDF: where
-    the terms of each entry begin, the row of F of each term, and the product of two of its entries.
+    Returns their places, positions in the order of elimination (two arrays), H's values; and for FᵀDF, row by row of
+    F, where each row's terms begin, the entry each term goes to, and the product of two of the row's entries.
     """
     counts = np.diff(F.indptr)
     starts = np.concatenate([[0], np.cumsum(counts * (counts + 1) // 2)])
@@ -170,15 +136,12 @@ def _gather(H: sparse.csc_matrix, F: sparse.csr_matrix, tree: Any) -> tuple[np.n
     of_diagonal = tree.entries(tree.order, tree.order)
     places, first = np.unique(np.concatenate([of_h, of_f, of_diagonal]), return_index=True)
     one, other = (
-        tree.position[np.concatenate([a, b, tree.order])[first]].astype(np.int32)
+        tree.position[np.concatenate([a, b, tree.order])[first]].astype(np.uint32)
         for a, b in zip(upper.coords, (i, j), strict=True)
     )
     h_values = np.zeros(places.size)
     h_values[np.searchsorted(places, of_h)] = upper.data
-    row = np.repeat(np.arange(F.shape[0], dtype=np.int32), np.diff(starts))
-    order = np.argsort(of_f, kind="stable")
-    begins = np.searchsorted(of_f[order], np.append(places, tree.n_stored))
-    return places, one, other, h_values, begins, row[order], values[order]
+    return places, one, other, h_values, starts, np.searchsorted(places, of_f).astype(np.uint32), values
 
 
 @numba.njit(cache=True)
@@ -192,13 +155,13 @@ def _pairs(indptr, indices, data, starts, i, j, values):
 
 
 @numba.njit(cache=True)
-def _scaled_values(out, scale, one, other, h_values, begins, rows, values, weights, h_factor, added, diagonal):
+def _scaled_values(out, scale, one, other, h_values, starts, entries, values, weights, h_factor, added, diagonal):
     """The entries of K, scaled to a unit diagonal by `scale` on either side."""
     for e in range(out.size):
-        total = h_factor * h_values[e]
-        for t in range(begins[e], begins[e + 1]):
-            total += weights[rows[t]] * values[t]
-        out[e] = total
+        out[e] = h_factor * h_values[e]
+    for r in range(weights.size):
+        for t in range(starts[r], starts[r + 1]):
+            out[entries[t]] += weights[r] * values[t]
     for v in range(diagonal.size):
         out[diagonal[v]] += added[v % added.size]
         d = out[diagonal[v]]
@@ -208,67 +171,24 @@ def _scaled_values(out, scale, one, other, h_values, begins, rows, values, weigh
 
 
 @numba.njit(cache=True)
-def _extend_add(target, stride, shift, child, places, run_ends, low, high):
+def _extend_add(target, stride, shift, child, places, low, high):
     """Add columns low … high − 1 of a child's update matrix to its parent's columns or update matrix."""
     mc = places.size
     for j in range(low, high):
-        column = (places[j] - shift) * stride - shift
-        i = j
-        while i < mc:
-            length = run_ends[i] - i
-            into = target[column + places[i] : column + places[i] + length]
-            added = child[j * mc + i : j * mc + i + length]
-            for t in range(length):
-                into[t] += added[t]
-            i += length
-
-
-@numba.njit(cache=True)
-def _eliminate(at, unit, k, size, ints, chars, reals, integers, routines):
-    """Factorise a front's k columns in place, a block of columns at a time; whether it worked.
-
-    `unit` is the size of a number in bytes; `ints`, `chars`, `reals` are addresses.
-
-    A block is brought up to date by one product with all columns before it, its diagonal part factorised, and the
-    rows below solved with that. `integers` holds: columns, rows, stride, info, columns before, rows below.
-    """
-    integers[2] = size
-    for j in range(0, k, _BLOCK):
-        width = min(_BLOCK, k - j)
-        corner = at + unit * (j * size + j)
-        integers[0], integers[1], integers[3] = width, size - j, 0
-        integers[4], integers[5] = j, size - j - width
-        if j > 0:
-            left = at + unit * j
-            _call(
-                routines[5],
-                (
-                    chars + 1, chars + 2, ints + 4, ints, ints + 16, reals + unit, left, ints + 8, left, ints + 8,
-                    reals, corner, ints + 8,
-                ),
-            )  # fmt: skip
-        _call(routines[0], (chars, ints, corner, ints + 8, ints + 12))
-        if integers[3] != 0:
-            return False
-        if integers[5] > 0:
-            _call(
-                routines[1],
-                (
-                    chars + 3, chars, chars + 2, chars + 1, ints + 20, ints, reals, corner, ints + 8,
-                    corner + unit * width, ints + 8,
-                ),
-            )  # fmt: skip
-    return True
+        column = np.uint64((places[j] - shift) * stride - shift)  # unsigned: no test for negative places
+        added, rows = child[j * mc + j : (j + 1) * mc], places[j:]
+        for t in range(rows.size):
+            target[np.uint64(rows[t]) + column] += added[t]
 
 
 @numba.njit(cache=True)
 def _factorise(
-    panels, panel_starts, starts, parents, row_starts, places, run_ends, n_inner, stack, stack_starts, entry_places,
-    entry_starts, values, shift, integers, routines, letters, numbers,
+    panels, panel_starts, starts, parents, row_starts, places, n_inner, stack, stack_starts, entry_places,
+    entry_starts, values, shift, pivots, integers, routines, letters, numbers,
 ):  # fmt: skip
-    n_fronts, unit = parents.size, panels.itemsize
+    """Factorise front by front; `pivots` takes the reciprocals of L's diagonal. Whether it worked."""
+    n_fronts = parents.size
     child, sibling = np.full(n_fronts, -1), np.full(n_fronts, -1)
-    ints, chars, reals = integers.ctypes.data, letters.ctypes.data, numbers.ctypes.data
     for f in range(n_fronts):
         k = starts[f + 1] - starts[f]
         m = row_starts[f + 1] - row_starts[f]
@@ -279,27 +199,18 @@ def _factorise(
         for v in range(k):
             panel[v * (k + m) + v] *= 1.0 + shift
         update = stack[stack_starts[f] : stack_starts[f] + m * m]
-        for j in range(m):
-            update[j * m + j : (j + 1) * m] = 0.0
+        update[:] = 0.0
         c = child[f]
         while c >= 0:
             first, end, inner = row_starts[c], row_starts[c + 1], n_inner[c]
-            its, to, ends = stack[stack_starts[c] :], places[first:end], run_ends[first:end]
-            _extend_add(panel, k + m, 0, its, to, ends, 0, inner)
-            _extend_add(update, m, k, its, to, ends, inner, end - first)
+            its, to = stack[stack_starts[c] :], places[first:end]
+            _extend_add(panel, k + m, 0, its, to, 0, inner)
+            _extend_add(update, m, k, its, to, inner, end - first)
             c = sibling[c]
-        at = panel.ctypes.data
-        if not _eliminate(at, unit, k, k + m, ints, chars, reals, integers, routines):
+        if not dense.partial_cholesky(panel, update, k, m, integers, routines, letters, numbers):
             return False
-        if m > 0:
-            integers[0], integers[1] = k, m
-            _call(
-                routines[2],
-                (
-                    chars, chars + 1, ints + 4, ints, reals + unit, at + unit * k, ints + 8, reals, update.ctypes.data,
-                    ints + 4,
-                ),
-            )  # fmt: skip
+        for v in range(k):
+            pivots[starts[f] + v] = 1.0 / panel[v * (k + m) + v]
         p = parents[f]
         if p >= 0:
             sibling[f] = child[p]
@@ -308,43 +219,29 @@ def _factorise(
 
 
 @numba.njit(cache=True)
-def _solve(panels, panel_starts, starts, row_starts, rows, x, work, integers, routines, letters, numbers):
-    n_fronts, unit = starts.size - 1, panels.itemsize
-    ints, chars, reals = integers.ctypes.data, letters.ctypes.data, numbers.ctypes.data
-    integers[3] = 1
+def _solve(panels, panel_starts, starts, row_starts, rows, pivots, order, scale, b, x, work, out):
+    """Both triangular solves; x and work are work."""
+    n_fronts = starts.size - 1
+    for i in range(order.size):
+        x[i] = b[order[i]] * scale[i]
     for f in range(n_fronts):
-        k = starts[f + 1] - starts[f]
-        m = row_starts[f + 1] - row_starts[f]
-        integers[0], integers[1], integers[2] = k, m, k + m
-        at = panels.ctypes.data + unit * panel_starts[f]
-        here = x.ctypes.data + unit * starts[f]
-        _call(routines[3], (chars, chars + 1, chars + 1, ints, at, ints + 8, here, ints + 12))
-        if m > 0:
-            _call(
-                routines[4],
-                (
-                    chars + 1, ints + 4, ints, reals, at + unit * k, ints + 8, here, ints + 12, reals + 2 * unit,
-                    work.ctypes.data, ints + 12,
-                ),
-            )  # fmt: skip
-            first = row_starts[f]
-            for t in range(m):
-                x[rows[first + t]] -= work[t]
+        begin, k = starts[f], starts[f + 1] - starts[f]
+        later = rows[row_starts[f] : row_starts[f + 1]]
+        w = work[: k + later.size]
+        w[:k] = x[begin : begin + k]
+        w[k:] = 0.0
+        dense.forward_substitute(panels[panel_starts[f] : panel_starts[f + 1]], pivots[begin : begin + k], k, w)
+        x[begin : begin + k] = w[:k]
+        for t in range(later.size):
+            x[later[t]] += w[k + t]
     for f in range(n_fronts - 1, -1, -1):
-        k = starts[f + 1] - starts[f]
-        m = row_starts[f + 1] - row_starts[f]
-        integers[0], integers[1], integers[2] = k, m, k + m
-        at = panels.ctypes.data + unit * panel_starts[f]
-        here = x.ctypes.data + unit * starts[f]
-        if m > 0:
-            first = row_starts[f]
-            for t in range(m):
-                work[t] = x[rows[first + t]]
-            _call(
-                routines[4],
-                (
-                    chars + 2, ints + 4, ints, reals + unit, at + unit * k, ints + 8, work.ctypes.data, ints + 12,
-                    reals, here, ints + 12,
-                ),
-            )  # fmt: skip
-        _call(routines[3], (chars, chars + 2, chars + 1, ints, at, ints + 8, here, ints + 12))
+        begin, k = starts[f], starts[f + 1] - starts[f]
+        later = rows[row_starts[f] : row_starts[f + 1]]
+        w = work[: k + later.size]
+        w[:k] = x[begin : begin + k]
+        for t in range(later.size):
+            w[k + t] = x[later[t]]
+        dense.back_substitute(panels[panel_starts[f] : panel_starts[f + 1]], pivots[begin : begin + k], k, w)
+        x[begin : begin + k] = w[:k]
+    for i in range(order.size):
+        out[order[i]] = x[i] * scale[i]

@@ -75,11 +75,6 @@ class FrontTree:
         return _stack(self.parents, m)
 
     @cached_property
-    def run_ends(self) -> np.ndarray:
-        """For each of `places` where the run of consecutive places that it belongs to ends, counted in its front."""
-        return _run_ends(self.row_starts, self.places)
-
-    @cached_property
     def n_inner(self) -> np.ndarray:
         """How many of each front's rows its parent eliminates."""
         row_front = np.repeat(np.arange(self.parents.size), np.diff(self.row_starts))
@@ -146,17 +141,6 @@ def _rows(indptr, indices, order, position, starts, parents):
             q = rows[t]
             places[t] = q - starts[p] if q < starts[p + 1] else k + np.searchsorted(later, q)
     return row_starts, rows, places
-
-
-@numba.njit(cache=True)
-def _run_ends(row_starts, places):
-    ends = np.empty_like(places)
-    for i in range(row_starts.size - 1):
-        first, end = row_starts[i], row_starts[i + 1]
-        for t in range(end - 1, first - 1, -1):
-            joined = t + 1 < end and places[t + 1] == places[t] + 1
-            ends[t] = ends[t + 1] if joined else t + 1 - first
-    return ends
 
 
 @numba.njit(cache=True)

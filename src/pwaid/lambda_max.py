@@ -20,10 +20,10 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from scipy import linalg
+from scipy import linalg, sparse
 
 from pwaid.engine import kernels
-from pwaid.engine.interior import Direction, InteriorState, Operators, Progress, advance
+from pwaid.engine.interior import CENTRAL, Direction, InteriorState, Operators, Progress, advance
 from pwaid.errors import InputError, SolverError
 from pwaid.problem import HingeProblem
 
@@ -96,7 +96,8 @@ def lambda_max(problem: HingeProblem, *, tol: float = 1e-6) -> LambdaMax:
     size = float(np.linalg.norm(c))
     if size == 0.0:
         return LambdaMax(0.0, 0.0)
-    lower, upper = _bounds(replace(Operators.of(problem), c=c / size), affine, problem.row_norms, tol)
+    no_loss = sparse.csr_matrix(problem.H.shape)
+    lower, upper = _bounds(replace(Operators.of(problem), H=no_loss, c=c / size), affine, problem.row_norms, tol)
     if not upper - lower <= USELESS * upper:
         raise SolverError(
             f"λmax is only known to lie between {lower * size:.6g} and {upper * size:.6g}; "
@@ -115,7 +116,7 @@ def _bounds(ops: Operators, affine: np.ndarray, norms: np.ndarray, tol: float) -
         direction = _begin(ops, state, held)
         if direction is None or not direction.stiffness > 0.0:
             break
-        progress = advance(direction)
+        progress = advance(direction, CENTRAL)
         state, before = progress.state, upper - lower
         v = state.v - affine @ (affine.T @ state.v)
         spent = float(np.abs(ops.F @ v).sum())
@@ -175,18 +176,17 @@ class _BorderedDirection(Direction):
         self.spring = spring
         pa, qb = s.p / (s.lam - s.nu), s.q / (s.lam + s.nu)
         self.e = pa - qb
-        self.v_lam = ops.K.solve(ops.FT @ (D * self.e))
-        self.z_lam = D * (self.e - ops.F @ self.v_lam)
-        self.stiffness = float((pa + qb).sum() - self.e @ self.z_lam)
+        self.moving = D * self.e
+        self.border = ops.FT @ self.moving
+        self.v_lam = ops.K.solve(self.border)
+        self.stiffness = float((pa + qb).sum() - self.e @ (self.moving - D * (ops.F @ self.v_lam)))
 
-    def residuals(self) -> tuple[np.ndarray, np.ndarray]:
-        ops, s = self.ops, self.state
-        return ops.c - ops.FT @ s.nu, s.p - s.q - ops.F @ s.v
-
-    def plus(self, ra, rb, rd=None, rp=0.0) -> Direction:
+    def plus(self, side: np.ndarray, rd: np.ndarray | None = None) -> Direction:
         s = self.state
         missing = 0.0 if rd is None else 1.0 - float(s.p.sum() + s.q.sum())
-        v, z = self._solved(ra, rb, rd, rp)
-        drive = float((ra / (s.lam - s.nu) + rb / (s.lam + s.nu)).sum() + self.e @ z) - missing
+        v = self._solved(side, rd)
+        gained = side[0] / (s.lam - s.nu) + side[1] / (s.lam + s.nu)
+        drive = float(gained.sum() + self.border @ v - self.e @ side[2]) - missing
         dlam = drive / self.stiffness
-        return self._moved(v - dlam * self.v_lam, z + dlam * self.z_lam, dlam, ra, rb)
+        side[2] -= dlam * self.moving
+        return self._moved(v - dlam * self.v_lam, dlam, side)

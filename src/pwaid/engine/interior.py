@@ -19,7 +19,6 @@ from __future__ import annotations
 
 import copy
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 from scipy import sparse
@@ -29,6 +28,9 @@ from pwaid.engine import kernels
 from pwaid.problem import HingeProblem
 
 __all__ = [
+    "CENTRAL",
+    "QUICK",
+    "Centring",
     "Direction",
     "DualPoint",
     "InteriorState",
@@ -42,16 +44,10 @@ __all__ = [
     "shifted",
 ]
 
-# Gondzio's correctors: how many at most, how much longer a step each tries, which products it leaves alone.
 CORRECTORS = 8
-STRETCH = 0.2
-LOW, HIGH = 0.2, 10.0
 LEAST_GAIN = 0.01
 TO_BOUNDARY = 0.99
-GOOD_STEP = 0.95
 LEAST_TARGET = 1e-6
-# The target μ is this fraction of Mehrotra's: the correctors make up for it.
-AMBITION = 0.5
 # Solves that make a dual point fulfil its equation: at most this many.
 REFINEMENTS = 3
 # λ − |ν| stays above this fraction of λ, so that rounding never makes it 0.
@@ -60,6 +56,34 @@ CLEARANCE = 1e-15
 SINGLE_PAYS = 2e8
 # Diagonal shifts tried, as fractions of the diagonal, when rounding makes a factorisation break down.
 SHIFTS = (0.0, 1e-14, 1e-12, 1e-10, 1e-8)
+
+
+@dataclass(frozen=True)
+class Centring:
+    """How an iteration trades progress for centrality.
+
+    Attributes
+    ----------
+    ambition : float
+        The target μ, as a fraction of Mehrotra's: the correctors make up for it.
+    low, high : float
+        Gondzio's correctors leave products between these multiples of the target alone.
+    stretch : float
+        How much longer a step each corrector tries.
+    enough : float
+        A step this long needs no further corrector.
+    """
+
+    ambition: float
+    low: float
+    high: float
+    stretch: float
+    enough: float
+
+
+# While the iterate may serve as a warm start it stays central; after that each factorisation goes as far as it can.
+CENTRAL = Centring(ambition=0.5, low=0.2, high=10.0, stretch=0.2, enough=0.95)
+QUICK = Centring(ambition=0.1, low=0.5, high=3.0, stretch=0.4, enough=0.9)
 
 
 @dataclass(frozen=True, eq=False)
@@ -156,69 +180,59 @@ class Direction:
         self.rows = np.zeros((3, state.nu.size))
         self.dlam, self.longest = 0.0, np.inf
 
-    def residuals(self) -> tuple[np.ndarray, np.ndarray]:
-        """What the iterate lacks in c = Hv + Fᵀν and in Fv = p − q."""
-        point = self.ops.at(self.state)
-        return point.left_over, self.state.p - self.state.q - point.hinges
+    def plus(self, side: np.ndarray, rd: np.ndarray | None = None) -> Direction:
+        """This direction and that of a right-hand side (`kernels`); no rd: zero."""
+        return self._moved(self._solved(side, rd), 0.0, side)
 
-    def plus(self, ra: np.ndarray, rb: np.ndarray, rd: np.ndarray | None = None, rp: Any = 0.0) -> Direction:
-        """This direction and that of a right-hand side; no rd, rp: zero."""
-        dv, dnu = self._solved(ra, rb, rd, rp)
-        return self._moved(dv, dnu, 0.0, ra, rb)
+    def _solved(self, side: np.ndarray, rd: np.ndarray | None) -> np.ndarray:
+        """Δv of a right-hand side for Δλ = 0."""
+        right = self.ops.FT @ side[2]
+        return self.ops.K.solve(right if rd is None else rd + right)
 
-    def _solved(self, ra, rb, rd, rp) -> tuple[np.ndarray, np.ndarray]:
-        """Δv and Δν of a right-hand side for Δλ = 0."""
-        ops, s = self.ops, self.state
-        g = kernels.reduce(self.D, rp, ra, rb, s.nu, s.lam)
-        right = ops.FT @ g
-        dv = ops.K.solve(right if rd is None else rd + right)
-        return dv, kernels.multiplier_step(ops.F.indptr, ops.F.indices, ops.F.data, dv, self.D, g)
-
-    def _moved(self, dv, dnu, dlam, ra, rb) -> Direction:
+    def _moved(self, dv: np.ndarray, dlam: float, side: np.ndarray) -> Direction:
         s, out = self.state, copy.copy(self)
         out.dv, out.dlam = self.dv + dv, self.dlam + dlam
-        out.rows, out.longest = kernels.expand(dnu, dlam, ra, rb, s.p, s.q, s.nu, s.lam, self.rows, self.dlam)
+        out.rows, out.longest = kernels.expand(
+            self.ops.F @ dv, self.D, side, dlam, s.p, s.q, s.nu, s.lam, self.rows, self.dlam
+        )
         return out
-
-    @property
-    def parts(self) -> tuple:
-        """What the kernels take of iterate and direction."""
-        s = self.state
-        return s.p, s.q, s.nu, s.lam, *self.rows, self.dlam
 
     def taken(self, step: float) -> InteriorState:
         """The iterate after the step."""
-        s, (dp, dq, dnu) = self.state, self.rows
+        s = self.state
         lam = s.lam + step * self.dlam
-        inside = lam * (1.0 - CLEARANCE)
-        nu = np.clip(s.nu + step * dnu, -inside, inside)
-        return InteriorState(s.v + step * self.dv, s.p + step * dp, s.q + step * dq, nu, lam)
+        p, q, nu = kernels.taken(s.p, s.q, s.nu, self.rows, step, lam * (1.0 - CLEARANCE))
+        return InteriorState(s.v + step * self.dv, p, q, nu, lam)
 
 
-def advance(direction: Direction) -> Progress:
+def advance(direction: Direction, centring: Centring) -> Progress:
     """One iteration over a fresh factorisation: predict, correct, centre, step."""
-    s = direction.state
-    ra, rb = np.empty_like(s.nu), np.empty_like(s.nu)
-    kernels.products(s.p, s.q, s.nu, s.lam, ra, rb)
-    direction = direction.plus(ra, rb, *direction.residuals())
-    mu, alpha = s.mu, min(1.0, direction.longest)
-    after = kernels.trial(*direction.parts, alpha)
-    target = mu * min(1.0, max(LEAST_TARGET, AMBITION * (after / mu) ** 3))
-    kernels.second_order(*direction.rows, direction.dlam, target, ra, rb)
-    direction = direction.plus(ra, rb)
+    s, D = direction.state, direction.D
+    point, side = direction.ops.at(s), np.empty((3, D.size))
+    kernels.predictor_side(s.p, s.q, s.nu, s.lam, D, point.hinges, side)
+    direction = direction.plus(side, point.left_over)
+    mu = s.mu
+    after = kernels.trial(s.p, s.q, s.nu, s.lam, direction.rows, direction.dlam, min(1.0, direction.longest))
+    target = mu * min(1.0, max(LEAST_TARGET, centring.ambition * (after / mu) ** 3))
+    kernels.corrector_side(s.nu, s.lam, direction.rows, direction.dlam, D, target, side)
+    direction = direction.plus(side)
     for _ in range(CORRECTORS):
         alpha = direction.longest
-        if alpha >= GOOD_STEP:
+        if alpha >= centring.enough:
             break
-        kernels.centrality_targets(*direction.parts, min(1.0, alpha + STRETCH), target, LOW, HIGH, ra, rb)
-        better = direction.plus(ra, rb)
+        reach = min(1.0, alpha + centring.stretch)
+        kernels.centrality_side(
+            s.p, s.q, s.nu, s.lam, direction.rows, direction.dlam, D, reach,
+            centring.low * target, centring.high * target, side,
+        )  # fmt: skip
+        better = direction.plus(side)
         gain = better.longest - alpha
         if gain > 0.0:
             direction = better
         if gain < LEAST_GAIN:
             break
     step = min(1.0, TO_BOUNDARY * direction.longest)
-    return Progress(direction.taken(step), direction.D, step)
+    return Progress(direction.taken(step), D, step)
 
 
 def begin_direction(ops: Operators, s: InteriorState) -> Direction | None:

@@ -2,6 +2,9 @@
 
 Letters as in `pwaid.engine.interior`: p, q ≥ 0 split Fv = p − q; a = λ − ν and b = λ + ν are their multipliers.
 λ moves too (dlam) when `pwaid.lambda_max` looks for its smallest value.
+
+A right-hand side has three rows: what the products p a and q b shall gain, r_a and r_b, and
+g = D (r_p + r_a/a − r_b/b), which Fᵀ takes to the reduced system. Then Δν = D F Δv − g.
 """
 
 from __future__ import annotations
@@ -10,13 +13,12 @@ import numba
 import numpy as np
 
 __all__ = [
-    "centrality_targets",
+    "centrality_side",
     "complementarity",
+    "corrector_side",
     "expand",
-    "multiplier_step",
-    "products",
-    "reduce",
-    "second_order",
+    "predictor_side",
+    "taken",
     "trial",
     "weights",
 ]
@@ -44,49 +46,29 @@ def complementarity(p, q, nu, lam):
 
 
 @_compiled
-def products(p, q, nu, lam, ra, rb):
-    """The right-hand sides that aim at products of 0."""
+def predictor_side(p, q, nu, lam, D, hinges, out):
+    """Aim at products of 0, and at Fv = p − q; `hinges` is Fv."""
     for i in range(p.size):
-        ra[i] = -p[i] * (lam - nu[i])
-        rb[i] = -q[i] * (lam + nu[i])
+        out[0, i] = -p[i] * (lam - nu[i])
+        out[1, i] = -q[i] * (lam + nu[i])
+        out[2, i] = -D[i] * hinges[i]
 
 
 @_compiled
-def reduce(D, rp, ra, rb, nu, lam):
-    """D (rp + ra/a − rb/b), the hinges' part of the right-hand side; rp may be a number."""
-    out = np.empty_like(D)
-    rp = np.broadcast_to(np.asarray(rp), D.shape)
-    for i in range(D.size):
-        out[i] = D[i] * (rp[i] + ra[i] / (lam - nu[i]) - rb[i] / (lam + nu[i]))
-    return out
-
-
-@_compiled
-def multiplier_step(indptr, indices, data, dv, D, g):
-    """Δν = D F Δv − g, F in compressed rows."""
-    out = np.empty_like(D)
-    for i in range(D.size):
-        total = 0.0
-        for t in range(indptr[i], indptr[i + 1]):
-            total += data[t] * dv[indices[t]]
-        out[i] = D[i] * total - g[i]
-    return out
-
-
-@_compiled
-def expand(step, dlam, ra, rb, p, q, nu, lam, before, dlam_before):
-    """The direction `before` (rows Δp, Δq, Δν) plus a step in ν and λ and what follows for p and q.
+def expand(image, D, side, dlam, p, q, nu, lam, before, dlam_before):
+    """The direction `before` (rows Δp, Δq, Δν) plus what follows from F Δv = `image` and Δλ for a right-hand side.
 
     Returns it and the longest step along it that keeps p, q, a and b nonnegative.
     """
     out = np.empty_like(before)
     rate = 1e-300
     total = dlam_before + dlam
-    for i in range(step.size):
+    for i in range(D.size):
         a, b = lam - nu[i], lam + nu[i]
-        dp = before[0, i] + (ra[i] - p[i] * (dlam - step[i])) / a
-        dq = before[1, i] + (rb[i] - q[i] * (dlam + step[i])) / b
-        dnu = before[2, i] + step[i]
+        step = D[i] * image[i] - side[2, i]
+        dp = before[0, i] + (side[0, i] - p[i] * (dlam - step)) / a
+        dq = before[1, i] + (side[1, i] - q[i] * (dlam + step)) / b
+        dnu = before[2, i] + step
         out[0, i], out[1, i], out[2, i] = dp, dq, dnu
         if -dp > rate * p[i]:
             rate = -dp / p[i]
@@ -100,28 +82,44 @@ def expand(step, dlam, ra, rb, p, q, nu, lam, before, dlam_before):
 
 
 @_compiled
-def trial(p, q, nu, lam, dp, dq, dnu, dlam, step):
+def trial(p, q, nu, lam, rows, dlam, step):
     """μ after a step."""
     total = 0.0
     for i in range(p.size):
-        total += (p[i] + step * dp[i]) * (lam - nu[i] + step * (dlam - dnu[i]))
-        total += (q[i] + step * dq[i]) * (lam + nu[i] + step * (dlam + dnu[i]))
+        total += (p[i] + step * rows[0, i]) * (lam - nu[i] + step * (dlam - rows[2, i]))
+        total += (q[i] + step * rows[1, i]) * (lam + nu[i] + step * (dlam + rows[2, i]))
     return total / (2 * p.size)
 
 
 @_compiled
-def second_order(dp, dq, dnu, dlam, target, ra, rb):
-    """Mehrotra's right-hand sides: the target μ less the predictor's second-order terms."""
-    for i in range(dp.size):
-        ra[i] = target - dp[i] * (dlam - dnu[i])
-        rb[i] = target - dq[i] * (dlam + dnu[i])
+def corrector_side(nu, lam, rows, dlam, D, target, out):
+    """Aim at the target μ, less the second-order terms of the predictor `rows` (Mehrotra)."""
+    for i in range(nu.size):
+        ra = target - rows[0, i] * (dlam - rows[2, i])
+        rb = target - rows[1, i] * (dlam + rows[2, i])
+        out[0, i], out[1, i] = ra, rb
+        out[2, i] = D[i] * (ra / (lam - nu[i]) - rb / (lam + nu[i]))
 
 
 @_compiled
-def centrality_targets(p, q, nu, lam, dp, dq, dnu, dlam, step, target, low, high, ra, rb):
-    """Gondzio's right-hand sides: move products outside [low, high] · target back to that interval's ends."""
+def centrality_side(p, q, nu, lam, rows, dlam, D, step, least, most, out):
+    """Move products outside [least, most] after a step back to that interval's ends (Gondzio)."""
     for i in range(p.size):
-        product = (p[i] + step * dp[i]) * (lam - nu[i] + step * (dlam - dnu[i]))
-        ra[i] = max(min(max(product, low * target), high * target) - product, -high * target)
-        product = (q[i] + step * dq[i]) * (lam + nu[i] + step * (dlam + dnu[i]))
-        rb[i] = max(min(max(product, low * target), high * target) - product, -high * target)
+        a, b = lam - nu[i], lam + nu[i]
+        product = (p[i] + step * rows[0, i]) * (a + step * (dlam - rows[2, i]))
+        ra = max(min(max(product, least), most) - product, -most)
+        product = (q[i] + step * rows[1, i]) * (b + step * (dlam + rows[2, i]))
+        rb = max(min(max(product, least), most) - product, -most)
+        out[0, i], out[1, i] = ra, rb
+        out[2, i] = D[i] * (ra / a - rb / b)
+
+
+@_compiled
+def taken(p, q, nu, rows, step, inside):
+    """p, q and ν after a step, with |ν| ≤ inside."""
+    out = np.empty_like(rows)
+    for i in range(p.size):
+        out[0, i] = p[i] + step * rows[0, i]
+        out[1, i] = q[i] + step * rows[1, i]
+        out[2, i] = min(max(nu[i] + step * rows[2, i], -inside), inside)
+    return out[0], out[1], out[2]

@@ -9,6 +9,8 @@ from typing import Any
 import numpy as np
 
 from pwaid.engine.interior import (
+    CENTRAL,
+    QUICK,
     DualPoint,
     InteriorState,
     Operators,
@@ -82,7 +84,7 @@ def solve_engine(
         if direction is None:
             status, message = Status.STALLED, "the reduced system is singular to rounding"
             break
-        progress = advance(direction)
+        progress = advance(direction, CENTRAL if kept is None else QUICK)
         state = progress.state
         best.see(state.v, ops.at(state), dual_point(ops, progress, best.negligible(tol)))
         if kept is None and best.remaining <= KEEP_AT:
