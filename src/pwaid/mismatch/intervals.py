@@ -1,4 +1,4 @@
-"""Confidence intervals that survive coloured residuals: a block sandwich around the fit."""
+"""Confidence intervals: a block sandwich for coloured residuals, and what residuals cannot show added to it."""
 
 from __future__ import annotations
 
@@ -7,43 +7,35 @@ import itertools
 import numpy as np
 from scipy.stats import t as student
 
-from pwaid.mismatch.fit import Fit, jacobian
+from pwaid.mismatch.discrepancy import discrepancy
+from pwaid.mismatch.fit import Fit
 from pwaid.mismatch.hygiene import leads_input
+from pwaid.mismatch.normal import NormalEquations, normal_equations
 from pwaid.mismatch.nullfit import Problem
 
 __all__ = ["covariance", "feedback_widening", "parameter_intervals"]
 
+WIDEST = 50.0  # on the fitted axis: e^50 times the scale means unknown
 
-def covariance(problem: Problem, fit: Fit, blocks: int = 40) -> np.ndarray:
-    """Covariance of the global parameters on the fitted axis, start states projected out.
 
-    H⁻¹ (Σ_b g_b g_bᵀ) H⁻¹ with the gradient summed over blocks of time, so that neighbouring errors
-    may be correlated; never smaller than the white-noise formula.
+def covariance(problem: Problem, normal: NormalEquations, blocks: int = 40) -> np.ndarray:
+    """Covariance (n, n) of the global parameters on the fitted axis, from the residuals and the prior.
+
+    H⁻¹ (Σ_b g_b g_bᵀ + P) H⁻¹ with H = GᵀG + P and the gradient g summed over blocks of time, so that neighbouring
+    errors may be correlated; never smaller than the white-noise formula. P stands in the middle too: a direction that
+    only the prior holds is as uncertain as the tolerances say.
     """
-    data, model = problem.train, fit.model
-    J = jacobian(model, fit.theta, fit.X0, data, problem.sigma, fit.Y, problem.ranges,
-                 bounds=model.bounds(data.sample_time))
-    r = np.clip((data.Y - fit.Y) / problem.sigma, -1e3, 1e3).ravel()
-    ny = data.Y.shape[1]
-    G = J.G.copy()
-    for a, b in data.segments[:, :2]:
-        s = slice(int(a) * ny, int(b) * ny)
-        S = J.S[s] * problem.ranges
-        A = S.T @ S + 1e-9 * np.eye(S.shape[1]) * (np.trace(S.T @ S) + 1e-12)
-        G[s] -= S @ np.linalg.solve(A, S.T @ G[s])
-    H = G.T @ G
-    prior = np.concatenate([1 / np.log1p(model.settings.tolerance), np.zeros(model.nz)])
-    H[np.diag_indices_from(H)] += prior**2 + 1e-10 * (1 + np.diag(H))
-    inverse = np.linalg.pinv(H)
-    meat = np.zeros_like(H)
+    data, G, r, inverse = problem.train, normal.G, normal.r, normal.inverse
+    ny, n = data.Y.shape[1], len(inverse)
+    meat = np.zeros_like(inverse)
     per = max(1, blocks // len(data.recordings))
     for a, b in data.recordings:
         edges = np.linspace(a, b, per + 1).astype(int) * ny
         for i, j in itertools.pairwise(edges):
             g = G[i:j].T @ r[i:j]
             meat += np.outer(g, g)
-    white = inverse * float(r @ r) / max(len(r) - len(H), 1)
-    robust = inverse @ meat @ inverse * blocks / max(blocks - len(H), 1)
+    white = inverse * float(r @ r) / max(len(r) - n, 1)
+    robust = inverse @ (meat * blocks / max(blocks - n, 1) + np.diag(normal.prior**2)) @ inverse
     scale = np.sqrt(np.maximum(np.diag(white), 0) / np.maximum(np.diag(robust), 1e-300))
     scale = np.maximum(scale, 1.0)
     return robust * np.outer(scale, scale)
@@ -66,9 +58,14 @@ def feedback_widening(problem: Problem, fit: Fit) -> float:
 
 
 def parameter_intervals(problem: Problem, fit: Fit, level: float = 0.9):
-    """Low and high of every global parameter on the fitted axis, and the correlation matrix."""
-    C = covariance(problem, fit)
-    width = student.ppf(0.5 + level / 2, 20) * np.sqrt(np.maximum(np.diag(C), 0))
-    width = width * feedback_widening(problem, fit)
+    """Low and high of every global parameter on the fitted axis, and the correlation matrix of the covariance.
+
+    The variance is that of `covariance`, widened in closed loop, plus the second moment of the bias by small effects
+    left out (`pwaid.mismatch.discrepancy`), which is not noise and has no part in the correlations.
+    """
+    normal = normal_equations(problem, fit)
+    C = covariance(problem, normal)
+    variance = np.diag(C) * feedback_widening(problem, fit) ** 2 + np.diag(discrepancy(problem, fit, normal))
+    width = np.minimum(student.ppf(0.5 + level / 2, 20) * np.sqrt(np.maximum(variance, 0)), WIDEST)
     d = np.sqrt(np.maximum(np.diag(C), 1e-300))
     return fit.theta - width, fit.theta + width, C / np.outer(d, d)

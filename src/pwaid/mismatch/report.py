@@ -111,9 +111,8 @@ def _clean(item):
     return item
 
 
-def effect_entries(problem: Problem, h: Hypothesis, shares: Sequence[float]) -> list[dict]:
-    """The `effects` list of report.json for one hypothesis."""
-    low, high, _ = parameter_intervals(problem, h.fit)
+def effect_entries(h: Hypothesis, shares: Sequence[float], low, high) -> list[dict]:
+    """The `effects` list of report.json for one hypothesis; low, high: ends on the fitted axis."""
     entries, k = [], h.fit.model.np
     for e, part in zip(h.located, shares, strict=True):
         z = h.fit.theta[k:k + e.size]
@@ -131,6 +130,17 @@ def effect_entries(problem: Problem, h: Hypothesis, shares: Sequence[float]) -> 
             "share_explained": part,
         })
         k += e.size
+    return entries
+
+
+def parameter_entries(problem: Problem, h: Hypothesis, low, high) -> dict[str, dict]:
+    """Nominal and refitted value of every free parameter, with its interval."""
+    entries = {}
+    for k, name in enumerate(problem.settings.free):
+        nominal = problem.plant.parameters[name]
+        ends = sorted((nominal * np.exp(low[k]), nominal * np.exp(high[k])))
+        entries[name] = {"nominal": nominal, "refitted": nominal * np.exp(h.fit.theta[k]), "low": ends[0],
+                         "high": ends[1]}
     return entries
 
 
@@ -190,19 +200,16 @@ def build_report(problem: Problem, null, singles, pairs, screened, decision: Dec
     """
     names = problem.plant.output_names
     used = fallback if fallback is not None and fallback.share > 0 else None
+    best = used or decision.chosen or null
+    found = {id(h): parameter_intervals(problem, h.fit) for h in {id(h): h for h in (*decision.members, best)}.values()}
     effects = []
     for h in decision.members:
-        effects += effect_entries(problem, h, _shares(problem, h, singles))
-    best = used or decision.chosen or null
-    low, high, correlation = parameter_intervals(problem, best.fit)
+        effects += effect_entries(h, _shares(problem, h, singles), *found[id(h)][:2])
+    low, high, correlation = found[id(best)]
     warnings = [*notes, *_collinear(best, correlation)]
-    parameters = {}
+    parameters = parameter_entries(problem, best, low, high)
     for k, name in enumerate(problem.settings.free):
-        nominal = problem.plant.parameters[name]
-        ends = sorted((nominal * np.exp(low[k]), nominal * np.exp(high[k])))
-        parameters[name] = {"nominal": nominal, "refitted": nominal * np.exp(best.fit.theta[k]),
-                            "low": ends[0],
-                            "high": ends[1], "without_effect": nominal * np.exp(null.fit.theta[k])}
+        parameters[name]["without_effect"] = problem.plant.parameters[name] * np.exp(null.fit.theta[k])
     limits = thresholds or Thresholds()
     units, others = _units(problem), [*singles, *pairs]
     told = isolability(problem, [null] if brief else leading(null, decision.members, others), jobs)
@@ -314,4 +321,4 @@ def write_report(report: Report, out: Path, simulator_source: str) -> None:
         (out / name).write_text(text, encoding="utf-8")
 
 
-__all__ += ["effect_entries", "share"]
+__all__ += ["effect_entries", "parameter_entries", "share"]
