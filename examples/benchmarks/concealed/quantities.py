@@ -111,7 +111,10 @@ def _compliance(v, entry, match):
 
 
 def _coriolis(v, entry, match):
-    """The product of both speeds appears twice in the equations of an arm, a squared speed once."""
+    """The product of both speeds appears twice in the equations of an arm, a squared speed once; as a multiple of what
+    the simulator's own inertia asks for, the coefficient is 1."""
+    if "own inertia" in match.get("law", ""):
+        return {"coefficient": 1.0}
     speeds = [n for n in match.get("where", {}).get("variables", []) if "(" not in n]
     return {"coefficient": v["coefficient"] * (2.0 if len(set(speeds)) == 2 else 1.0)}
 
