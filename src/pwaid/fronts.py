@@ -92,6 +92,18 @@ class FrontTree:
 
 
 @numba.njit(cache=True)
+def _append(row, end, front, mark, rows, count):
+    """The list with a later row appended once per front, longer where it was full, and its new length."""
+    if row >= end and mark[row] != front:
+        mark[row] = front
+        if count == rows.size:
+            rows = np.concatenate((rows, np.empty(rows.size, np.int64)))
+        rows[count] = row
+        count += 1
+    return rows, count
+
+
+@numba.njit(cache=True)
 def _rows(indptr, indices, order, position, starts, parents):
     """The later positions each front updates (starts and list), and their places in its parent's front."""
     n_fronts = parents.size
@@ -105,23 +117,11 @@ def _rows(indptr, indices, order, position, starts, parents):
         for p in range(starts[i], end):
             v = order[p]
             for e in range(indptr[v], indptr[v + 1]):
-                q = position[indices[e]]
-                if q >= end and mark[q] != i:
-                    mark[q] = i
-                    if count == rows.size:
-                        rows = np.concatenate((rows, np.empty(rows.size, np.int64)))
-                    rows[count] = q
-                    count += 1
+                rows, count = _append(position[indices[e]], end, i, mark, rows, count)
         c = child[i]
         while c >= 0:
             for t in range(row_starts[c], row_starts[c + 1]):
-                q = rows[t]
-                if q >= end and mark[q] != i:
-                    mark[q] = i
-                    if count == rows.size:
-                        rows = np.concatenate((rows, np.empty(rows.size, np.int64)))
-                    rows[count] = q
-                    count += 1
+                rows, count = _append(rows[t], end, i, mark, rows, count)
             c = sibling[c]
         rows[row_starts[i] : count] = np.sort(rows[row_starts[i] : count])
         row_starts[i + 1] = count

@@ -16,7 +16,7 @@ import numpy as np
 from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.model import Model
 
-__all__ = ["Fit", "Jacobian", "fit_model", "fit_starts", "jacobian", "output_rows"]
+__all__ = ["Fit", "Jacobian", "fit_model", "fit_starts", "jacobian", "output_rows", "weighted"]
 
 WIDTHS = (1.0, 10.0, 2.0)  # factors on the difference steps, one after the other where one stalls among kinks
 CLIP = 1e3  # weighted residuals beyond this count as this: a runaway simulation is bad, not infinite
@@ -47,7 +47,8 @@ class Jacobian:
     S: np.ndarray
 
 
-def _weighted(Y, data, sigma):
+def weighted(Y, data: Dataset, sigma) -> np.ndarray:
+    """Recorded minus simulated outputs in units of sigma, clipped, laid out sample by sample."""
     return np.clip((data.Y - Y) / sigma, -CLIP, CLIP).ravel()
 
 
@@ -148,7 +149,7 @@ def fit_model(model: Model, data: Dataset, sigma, theta, X0, ranges, iterations:
     theta = np.clip(np.asarray(theta, dtype=float), low, high)
     X0 = np.array(X0, dtype=float)
     Y, X = model.simulate(theta, X0, data)
-    r = _weighted(Y, data, sigma)
+    r = weighted(Y, data, sigma)
     cost = r @ r + np.sum((prior * theta) ** 2)
     mu, done = 1e-3, 0
     widths = list(WIDTHS) if _rough(model) and iterations >= 10 and not hold_globals else [1.0]
@@ -169,7 +170,7 @@ def fit_model(model: Model, data: Dataset, sigma, theta, X0, ranges, iterations:
             new = theta if hold_globals else np.clip(theta + step[0], low, high)
             X0n = X0 + step[1]
             Yn, Xn = model.simulate(new, X0n, data)
-            rn = _weighted(Yn, data, sigma)
+            rn = weighted(Yn, data, sigma)
             cn = rn @ rn + np.sum((prior * new) ** 2)
             if np.isfinite(cn) and cn < cost:
                 improved = True

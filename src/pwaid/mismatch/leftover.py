@@ -17,7 +17,7 @@ import numpy as np
 
 from pwaid.mismatch.correction import CORRECTION, curve_place
 from pwaid.mismatch.dataset import Dataset
-from pwaid.mismatch.fit import Fit, jacobian
+from pwaid.mismatch.fit import Fit, jacobian, weighted
 from pwaid.mismatch.model import Located, Model
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.screen import StartsOut
@@ -96,7 +96,7 @@ def _free_of_starts(problem: Problem, data: Dataset, fit: Fit, S) -> tuple[np.nd
     """Residual and responses, those to parameters included, with what start states explain taken out."""
     J = jacobian(fit.model, fit.theta, fit.X0, data, problem.sigma, fit.Y, problem.ranges,
                  bounds=fit.model.bounds(data.sample_time))
-    e = np.clip((data.Y - fit.Y) / problem.sigma, -1e3, 1e3).ravel()
+    e = weighted(fit.Y, data, problem.sigma)
     M = StartsOut(J.S, data)(np.column_stack([e, J.G, S]))
     return M[:, 0], M[:, 1:]
 

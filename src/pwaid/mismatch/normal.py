@@ -7,13 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pwaid.mismatch.fit import Fit, jacobian
+from pwaid.mismatch.fit import Fit, jacobian, output_rows, weighted
 from pwaid.mismatch.nullfit import Problem
 
 __all__ = ["NormalEquations", "normal_equations"]
 
 WIDE = 3.0  # times the fit's difference steps, to both sides: kinks of the cost average out
-CLIP = 1e3
 
 
 @dataclass(frozen=True)
@@ -51,13 +50,12 @@ def normal_equations(problem: Problem, fit: Fit) -> NormalEquations:
     up = jacobian(model, fit.theta, fit.X0, data, problem.sigma, fit.Y, problem.ranges, bounds=bounds, wide=WIDE)
     down = jacobian(model, fit.theta, fit.X0, data, problem.sigma, fit.Y, problem.ranges, want_states=False,
                     wide=-WIDE)
-    ny, blocks = data.Y.shape[1], []
-    for a, b in data.segments[:, :2]:
-        rows = slice(int(a) * ny, int(b) * ny)
+    blocks = []
+    for rows in output_rows(data):
         S = up.S[rows] * problem.ranges
         blocks.append((rows, S, S.T @ S + 1e-9 * np.eye(S.shape[1]) * (np.trace(S.T @ S) + 1e-12)))
     G = _without_starts(blocks, 0.5 * (up.G + down.G))
-    r = _without_starts(blocks, np.clip((data.Y - fit.Y) / problem.sigma, -CLIP, CLIP).ravel())
+    r = _without_starts(blocks, weighted(fit.Y, data, problem.sigma))
     prior = np.concatenate([1 / np.log1p(model.settings.tolerance), np.zeros(model.nz)])
     H = G.T @ G
     H[np.diag_indices_from(H)] += prior**2 + 1e-10 * (1 + np.diag(H))

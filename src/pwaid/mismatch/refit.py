@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pwaid.mismatch.dataset import Dataset
-from pwaid.mismatch.fit import Jacobian, jacobian
+from pwaid.mismatch.fit import Jacobian, jacobian, output_rows
 from pwaid.mismatch.hypotheses import Hypothesis
 from pwaid.mismatch.nullfit import Problem
 
@@ -91,16 +91,15 @@ class Refitter:
 
     def _step(self, target, Y, theta, mu):
         """One damped Gauss-Newton step; the start states of every segment are eliminated by least squares."""
-        r, ny = self._weighted(Y, target), Y.shape[1]
+        r = self._weighted(Y, target)
         G, left, saved = self.J.G.copy(), r.copy(), []
-        for a, b in self.data.segments[:, :2]:
-            rows = slice(int(a) * ny, int(b) * ny)
+        for rows in output_rows(self.data):
             S = self.J.S[rows] * self.ranges
             S = np.vstack([S, 1e-5 * np.linalg.norm(S, axis=0).max(initial=1e-12) * np.eye(S.shape[1])])
             zero = np.zeros((S.shape[1], G.shape[1] + 1))
             both = np.vstack([np.column_stack([self.J.G[rows], r[rows]]), zero])
             solution = np.linalg.lstsq(S, both, rcond=None)[0]
-            fitted = (S @ solution)[:int(b - a) * ny]
+            fitted = (S @ solution)[:rows.stop - rows.start]
             G[rows] -= fitted[:, :-1]
             left[rows] -= fitted[:, -1]
             saved.append(solution)

@@ -168,6 +168,7 @@ def screen(problem: Problem, fit: Fit, located: Sequence[Located], jobs: int = 1
         return float(left @ left) / full if full > 0 else 1.0
 
     def one(candidate: Located) -> Screened:
+        """Score one candidate by its best probe."""
         model = Model(problem.settings, (*base.located, candidate))
         reference = fit.Y
         if model.substeps != base.substeps:
