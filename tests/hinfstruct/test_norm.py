@@ -1,16 +1,18 @@
 """The norm against closed forms, dense grids and python-control; its certificate and its peaks."""
 
+import importlib
+
 import control
 import numpy as np
 import pytest
 import scipy.linalg
 
-from pwaid.errors import InputError
+from pwaid.errors import InputError, SolverError
 from pwaid.hinfstruct import hinf_norm
 from pwaid.hinfstruct.norm import gains_at
 from pwaid.hinfstruct.statespace import as_matrices, difference
 
-from .conftest import random_stable, resonance
+from .conftest import disguised, random_stable, resonance
 
 
 @pytest.mark.parametrize("zeta", [0.5, 0.1, 1e-2, 1e-3, 1e-4, 1e-5, 1e-6, 1e-7])
@@ -135,3 +137,22 @@ def test_agrees_with_slicot_where_it_is_installed():
 def test_bad_input(system, options, message):
     with pytest.raises(InputError, match=message):
         hinf_norm(system, **options)
+
+
+def test_gains_that_climb_by_rounding_end_in_a_wider_certificate(arm, monkeypatch):
+    module = importlib.import_module("pwaid.hinfstruct.norm")
+    climb, peaks = 1e-9, module._peaks
+
+    def climbing(gain, value, fraction):
+        where, gains = peaks(gain, value, fraction)
+        return where, np.maximum(gains, value) * (1 + climb)
+
+    monkeypatch.setattr(module, "_peaks", climbing)
+    m = as_matrices(arm.matrices(0.1))
+    with pytest.raises(SolverError, match="keeps exceeding"):  # a gain of order one climbs for real
+        hinf_norm(m)
+    climb = 1e-4
+    A, B, C, D = disguised(m, 1)
+    norm = hinf_norm(difference(m, as_matrices((A, B, (1 + 1e-10) * C, D))))
+    assert norm.iterations >= 5  # five rounds, all in vain
+    assert 1e-4 < norm.upper / norm.value - 1 < 1e-3

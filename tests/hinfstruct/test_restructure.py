@@ -1,5 +1,7 @@
 """Restructuring: right answers, certificates, continuation, agreement of the nonsmooth methods, refusals."""
 
+import importlib
+
 import numpy as np
 import pytest
 
@@ -12,6 +14,7 @@ from pwaid.hinfstruct import (
     d2c,
     hinf_norm,
     levenberg_marquardt,
+    null_space_start,
     pi_moesp,
     prox_linear,
     proximity_bundle,
@@ -123,6 +126,21 @@ def test_static_gain_can_be_matched(arm):
     true = arm.theta(0.1)
     assert matched.theta == pytest.approx(true, rel=1e-5)
     assert np.abs(plain.theta / true - 1).max() > 1e-3
+
+
+def test_an_unstable_random_start_is_drawn_again(arm, monkeypatch):
+    drawn = []
+
+    def unlucky_first(*args, **options):
+        theta = null_space_start(*args, **options)
+        drawn.append(theta)
+        return theta if len(drawn) > 1 else 1e9 * np.linspace(-1.0, 1.0, theta.size)
+
+    module = importlib.import_module("pwaid.hinfstruct.restructure")  # the package's name is the function
+    monkeypatch.setattr(module, "null_space_start", unlucky_first)
+    result = restructure(arm.pattern(), arm.frozen(0.1), method="lm", rng=0)
+    assert len(drawn) > 1
+    assert result.theta == pytest.approx(arm.theta(0.1), rel=1e-5)
 
 
 def test_levenberg_marquardt_reaches_a_noise_free_optimum(arm):

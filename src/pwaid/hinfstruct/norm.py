@@ -129,6 +129,8 @@ def hinf_norm(system, *, tol: float = 1e-10, fraction: float = 0.99, max_iterati
         value, where = float(gains[0]), float(peaks[0])
         if value <= upper:
             return HinfNorm(value, float(upper), back(peaks * unit), gains, fraction, count)
+    if value - upper <= gain.floor:  # by rounding of the gains
+        return HinfNorm(value, float(value + gain.floor), back(peaks * unit), gains, fraction, count)
     raise SolverError(f"the gain {value:.12g} keeps exceeding the certified level {upper:.12g}; loosen tol")
 
 

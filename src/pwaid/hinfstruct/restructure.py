@@ -133,8 +133,8 @@ def restructure(
         The last stage. "bundle" is the paper's (L-BFGS, then proximity-control bundle); "prox-linear" keeps
         the spectral norm exact and is usually faster and no worse.
     restarts : int
-        Further starts: the best theta so far with every entry changed by up to ``perturbation``, relative. Six are
-        tried unasked where every start ended in an unstable model.
+        Further starts: the best theta so far with every entry changed by up to ``perturbation``, relative. Where every
+        start ended in an unstable model, up to six new null-space starts and then six of these are tried unasked.
     max_iterations : int, optional
         Of the nonsmooth stage (default 300 bundle, 80 prox-linear).
     match_static_gain : bool
@@ -159,6 +159,11 @@ def restructure(
     rng = np.random.default_rng(rng)
     candidates = _descend(fitted, _starts(model, fitted.targets[0], start, rng))
     best = min(candidates, key=lambda c: c.value)
+    for _ in range(RESCUES):
+        if np.isfinite(best.value):
+            break
+        candidates += _descend(fitted, _drawn(model, fitted.targets[0], rng))
+        best = min(candidates, key=lambda c: c.value)
     if not np.isfinite(best.value):
         best, restarts = candidates[0], max(restarts, RESCUES)
     if restarts:
@@ -229,7 +234,7 @@ def restructure_path(
     return results
 
 
-RESCUES = 6  # restarts that are tried unasked where every start ends in an unstable model
+RESCUES = 6  # new random starts, then restarts, that are tried unasked where every start ends in an unstable model
 
 
 def _check_method(method: str) -> None:
@@ -269,19 +274,24 @@ def _starts(model: StructuredModel, target: Matrices, start, rng) -> list[tuple[
             chosen.append((f"given {k + 1}", theta))
     if np.isfinite(model.nominal).all():
         chosen.append(("nominal", model.nominal))
-    if model.affine:
-        order = model.matrices(np.zeros(model.size)).order
-        if target.order >= order:
-            try:
-                reduced = balance(target, order=order).system
-                chosen.append(("null space", null_space_start(model, reduced, rng=rng)))
-            except (InputError, SolverError, np.linalg.LinAlgError):
-                pass  # this start is an offer; the others stand
+    chosen += _drawn(model, target, rng)
     if not chosen:
         raise InputError(
             "no start: give start=, or nominal values to the parameters (no automatic start applies here)"
         )
     return chosen
+
+
+def _drawn(model: StructuredModel, target: Matrices, rng) -> list[tuple[str, np.ndarray]]:
+    """The random start of an affine pattern, where it applies and comes to an end."""
+    order = model.matrices(np.zeros(model.size)).order if model.affine else np.inf
+    if target.order < order:
+        return []
+    try:
+        reduced = balance(target, order=order).system
+        return [("null space", null_space_start(model, reduced, rng=rng))]
+    except (InputError, SolverError, np.linalg.LinAlgError):
+        return []  # this start is an offer; the others stand
 
 
 def _descend(problem: MatchingProblem, starts) -> list[_Candidate]:
