@@ -9,21 +9,22 @@ Any z that fulfils the equation gives an upper bound, any v a lower one. The lin
     minimise λ   subject to Fᵀz = c,  a = λ − z ≥ 0,  b = λ + z ≥ 0
 
 has multipliers v of the equation and p, q ≥ 0 with Fv = p − q, Σ(p + q) = 1: the hinge problem without its loss and
-with λ free. So the engine's interior point method solves it; its Newton system FᵀDF, bordered by the one column
-that belongs to λ, has the same pattern and shares the elimination order. FᵀDF is singular on the affine functions
-and every right-hand side is orthogonal to them, so holding d + 1 vertices in general position by any spring changes
-nothing and makes it definite.
+with λ free. So the engine's interior point method solves it (`pwaid.engine.bordered`), over the same elimination
+order.
+
+Where F has N̂ − d − 1 rows (d = 1) only one z fulfils the equation, and λmax is its largest entry.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from scipy import linalg, sparse
+from scipy import sparse
 
-from pwaid.engine import kernels
-from pwaid.engine.interior import CENTRAL, Direction, InteriorState, Operators, Progress, advance
+from pwaid.engine.bordered import RANGES, BorderedDirection, BorderedSystem, Held
+from pwaid.engine.interior import QUICK, InteriorState, Operators, advance
 from pwaid.errors import InputError, SolverError
 from pwaid.problem import HingeProblem
 
@@ -32,10 +33,16 @@ __all__ = ["LambdaMax", "lambda_max"]
 # Bounds farther apart than this fraction are an error; between this and tol they are returned (see `width`).
 USELESS = 1e-2
 MAX_ITERATIONS = 60
+# Both bounds are computed once the products say that the width is below this many times tol.
+NEARLY = 100.0
+# Single precision may misplace λ by a percent; closer than this it would be left below its smallest value.
+COARSE = 0.1
 STEPS_WITHOUT_GAIN = 8
 # Solves that make an upper bound exact: at most this many; what is left is charged with this times ‖v‖_∞.
 REFINEMENTS = 5
 GENEROUS = 2.0
+# A charge above this fraction of tol is no bound: v may still be far from the one that counts.
+SLIGHT = 0.1
 # The first λ, as a multiple of the bound that the least-squares z gives.
 FIRST = 1.5
 
@@ -97,8 +104,12 @@ def lambda_max(problem: HingeProblem, *, tol: float = 1e-6) -> LambdaMax:
     if size == 0.0:
         return LambdaMax(0.0, 0.0)
     no_loss = sparse.csr_matrix(problem.H.shape)
-    lower, upper = _bounds(replace(Operators.of(problem), H=no_loss, c=c / size), affine, problem.row_norms, tol)
-    if not upper - lower <= USELESS * upper:
+    bounds = _Bounds(replace(Operators.of(problem), H=no_loss, c=c / size), affine, tol)
+    state = bounds.start(problem.row_norms)
+    if bounds.width > tol:
+        bounds.tighten(state, problem.row_norms**2)
+    lower, upper = bounds.lower, bounds.upper
+    if not bounds.width <= USELESS:
         raise SolverError(
             f"λmax is only known to lie between {lower * size:.6g} and {upper * size:.6g}; "
             "normalise the inputs (scaling=), or use a blue-noise mesh"
@@ -106,87 +117,76 @@ def lambda_max(problem: HingeProblem, *, tol: float = 1e-6) -> LambdaMax:
     return LambdaMax(min(lower, upper) * size, upper * size)
 
 
-def _bounds(ops: Operators, affine: np.ndarray, norms: np.ndarray, tol: float) -> tuple[float, float]:
-    """The bounds for ops.c, by interior point iterations until they are within tol."""
-    held = np.zeros(ops.c.size)
-    held[linalg.qr(affine.T, pivoting=True, mode="r")[1][: affine.shape[1]]] = 1.0
-    state, upper = _start(ops, held, 1.0 / norms)
-    lower, idle = 0.0, 0
-    for _ in range(MAX_ITERATIONS):
-        direction = _begin(ops, state, held)
-        if direction is None or not direction.stiffness > 0.0:
-            break
-        progress = advance(direction, CENTRAL)
-        state, before = progress.state, upper - lower
-        v = state.v - affine @ (affine.T @ state.v)
+class _Bounds:
+    """The bounds for ops.c and how they come together."""
+
+    def __init__(self, ops: Operators, affine: np.ndarray, tol: float):
+        self.ops, self.affine, self.tol, self.held = ops, affine, tol, Held(affine)
+        self.lower, self.upper = 0.0, np.inf
+
+    @property
+    def width(self) -> float:
+        return 1.0 - self.lower / self.upper
+
+    def start(self, norms: np.ndarray) -> InteriorState:
+        """v = 0, p = q, and the z of least weighted norm, with λ well above it."""
+        ops, weights, mask = self.ops, 1.0 / norms, self.held.mask(self.ops.c.size)
+        ops.factorise(weights, float(weights @ norms**2) / mask.sum() * mask)
+
+        def multipliers(left: np.ndarray) -> np.ndarray:
+            return weights * (ops.F @ ops.K.solve(left))
+
+        z = multipliers(ops.c)
+        most = float(np.abs(z).max())
+        if z.size == ops.c.size - self.affine.shape[1]:
+            bend = np.zeros_like(z)
+            bend[np.abs(z).argmax()] = np.sign(z[np.abs(z).argmax()])
+            v = np.zeros_like(ops.c)
+            for _ in range(REFINEMENTS):
+                v += ops.K.solve(ops.FT @ (weights * (bend - ops.F @ v)))
+            self.see(v, z, multipliers)
+        share = np.full(z.size, 0.5 / z.size)
+        return InteriorState(np.zeros_like(ops.c), share, share.copy(), z, FIRST * most)
+
+    def tighten(self, state: InteriorState, squares: np.ndarray) -> None:
+        """Interior point iterations until the bounds are within tol or come no closer."""
+        ranges, idle = RANGES, 0
+        for _ in range(MAX_ITERATIONS):
+            system = BorderedSystem(self.ops, state, self.held, squares, ranges)
+            if not system.works:
+                break
+            ranges = system.ranges
+            state = advance(BorderedDirection(system, state), QUICK).state
+            remaining = 2 * state.nu.size * state.mu / state.lam
+            self.ops.single = self.ops.single and remaining > COARSE
+            if not remaining <= NEARLY * self.tol:
+                continue
+            before = self.upper - self.lower
+            self.see(state.v, state.nu, system.multipliers)
+            idle = 0 if self.upper - self.lower < 0.99 * before else idle + 1
+            if self.width <= self.tol or idle >= STEPS_WITHOUT_GAIN:
+                break
+
+    def see(self, v: np.ndarray, z: np.ndarray, multipliers: Callable[[np.ndarray], np.ndarray]) -> None:
+        """The lower bound of v, and the upper bound of z once it fulfils Fᵀz = c.
+
+        `multipliers` makes up for what z lacks. What it still lacks then, r, is charged with ‖r‖₁ times a generous
+        bound of ‖v‖_∞ where ‖Fv‖₁ = 1.
+        """
+        ops, best = self.ops, np.inf
+        v = v - self.affine @ (self.affine.T @ v)
         spent = float(np.abs(ops.F @ v).sum())
-        if np.isfinite(spent) and spent > 0.0:
-            lower = max(lower, float(ops.c @ v) / spent)
-            upper = min(upper, _upper(ops, progress, GENEROUS * float(np.abs(v).max()) / spent, tol))
-        idle = 0 if upper - lower < 0.99 * before else idle + 1
-        if upper - lower <= tol * upper or idle >= STEPS_WITHOUT_GAIN:
-            break
-    return lower, upper
-
-
-def _factorise(ops: Operators, D: np.ndarray, held: np.ndarray) -> float | None:
-    """Factorise FᵀDF with springs as stiff as its rows at the held vertices; the stiffness, None on breakdown."""
-    spring = float(D @ np.asarray(ops.F.multiply(ops.F).sum(axis=1)).ravel()) / held.size
-    return spring if ops.factorise(D, spring * held) else None
-
-
-def _start(ops: Operators, held: np.ndarray, weights: np.ndarray) -> tuple[InteriorState, float]:
-    """v = 0, p = q, and the z of least weighted norm, with λ well above it."""
-    _factorise(ops, weights, held)
-    z = np.zeros_like(weights)
-    for _ in range(2):
-        z += weights * (ops.F @ ops.K.solve(ops.c - ops.FT @ z))
-    upper = float(np.abs(z).max())
-    share = np.full(z.size, 0.5 / z.size)
-    return InteriorState(np.zeros_like(ops.c), share, share.copy(), z, FIRST * upper), upper
-
-
-def _begin(ops: Operators, s: InteriorState, held: np.ndarray) -> _BorderedDirection | None:
-    D = kernels.weights(s.p, s.q, s.nu, s.lam)
-    spring = _factorise(ops, D, held)
-    return None if spring is None else _BorderedDirection(ops, s, D, spring)
-
-
-def _upper(ops: Operators, progress: Progress, reach: float, tol: float) -> float:
-    """A bound from a z with Fᵀz = c, found by refining the iterate's with the last factorisation.
-
-    What z still lacks, r = c − Fᵀz, is charged with ‖r‖₁ times `reach`, a generous bound of ‖v‖_∞ where ‖F v‖₁ = 1.
-    """
-    z, bound = progress.state.nu, np.inf
-    left = ops.c - ops.FT @ z
-    for _ in range(REFINEMENTS):
-        z = z + progress.weights * (ops.F @ ops.K.solve(left))
+        if not (np.isfinite(spent) and spent > 0.0):
+            return
+        self.lower = max(self.lower, float(ops.c @ v) / spent)
+        reach = GENEROUS * float(np.abs(v).max()) / spent
         left = ops.c - ops.FT @ z
-        before, bound = bound, min(bound, float(np.abs(z).max() + reach * np.abs(left).sum()))
-        if bound > (1.0 - 0.01 * tol) * before:
-            break
-    return bound
-
-
-class _BorderedDirection(Direction):
-    """A direction in which λ moves too: Σ(p + q) = 1 closes the system."""
-
-    def __init__(self, ops: Operators, s: InteriorState, D: np.ndarray, spring: float):
-        super().__init__(ops, s, D)
-        self.spring = spring
-        pa, qb = s.p / (s.lam - s.nu), s.q / (s.lam + s.nu)
-        self.e = pa - qb
-        self.moving = D * self.e
-        self.border = ops.FT @ self.moving
-        self.v_lam = ops.K.solve(self.border)
-        self.stiffness = float((pa + qb).sum() - self.e @ (self.moving - D * (ops.F @ self.v_lam)))
-
-    def plus(self, side: np.ndarray, rd: np.ndarray | None = None) -> Direction:
-        s = self.state
-        missing = 0.0 if rd is None else 1.0 - float(s.p.sum() + s.q.sum())
-        v = self._solved(side, rd)
-        gained = side[0] / (s.lam - s.nu) + side[1] / (s.lam + s.nu)
-        drive = float(gained.sum() + self.border @ v - self.e @ side[2]) - missing
-        dlam = drive / self.stiffness
-        side[2] -= dlam * self.moving
-        return self._moved(v - dlam * self.v_lam, dlam, side)
+        for _ in range(REFINEMENTS):
+            z = z + multipliers(left)
+            left = ops.c - ops.FT @ z
+            charge, most = reach * float(np.abs(left).sum()), float(np.abs(z).max())
+            before, best = best, min(best, charge + most)
+            if charge <= SLIGHT * self.tol * most:
+                self.upper = min(self.upper, charge + most)
+            if best > (1.0 - 0.01 * self.tol) * before:
+                break

@@ -137,18 +137,18 @@ class Operators:
             self._seen = (state, point)
         return self._seen[1]
 
-    def factorise(self, D: np.ndarray, diagonal: np.ndarray | None = None) -> bool:
+    def factorise(self, D: np.ndarray, diagonal: np.ndarray | None = None, shifts: tuple[float, ...] = SHIFTS) -> bool:
         """Factorise in single precision for as long as that is good enough, then in double; whether it worked."""
         if self.single:
             if self.K.factorise(D, diagonal=diagonal, single=True):
                 return True
             self.single = False
-        return any(self.K.factorise(D, shift=shift, diagonal=diagonal) for shift in SHIFTS)
+        return any(self.K.factorise(D, shift=shift, diagonal=diagonal) for shift in shifts)
 
 
 @dataclass(frozen=True)
 class Progress:
-    """What one step did: the iterate, the weights it was found with, and the length of the step."""
+    """What one step did: the iterate, the weights it was found with, and the length of the shorter step."""
 
     state: InteriorState
     weights: np.ndarray
@@ -172,37 +172,39 @@ def shifted(state: InteriorState, lam: float) -> InteriorState:
 
 
 class Direction:
-    """Δv, Δp, Δq, Δν (and Δλ = 0), built up from several right-hand sides over one factorisation."""
+    """Δv, Δp, Δq, Δν (and Δλ = 0), built up from several right-hand sides over one factorisation.
+
+    `longest` holds the longest steps of v, p, q and of ν, λ. The loss couples them, so both are the shorter one.
+    """
+
+    apart = False
 
     def __init__(self, ops: Operators, state: InteriorState, D: np.ndarray):
         self.ops, self.state, self.D = ops, state, D
         self.dv = np.zeros_like(state.v)
         self.rows = np.zeros((3, state.nu.size))
-        self.dlam, self.longest = 0.0, np.inf
+        self.dlam, self.longest = 0.0, np.full(2, np.inf)
 
     def plus(self, side: np.ndarray, rd: np.ndarray | None = None) -> Direction:
         """This direction and that of a right-hand side (`kernels`); no rd: zero."""
-        return self._moved(self._solved(side, rd), 0.0, side)
-
-    def _solved(self, side: np.ndarray, rd: np.ndarray | None) -> np.ndarray:
-        """Δv of a right-hand side for Δλ = 0."""
         right = self.ops.FT @ side[2]
-        return self.ops.K.solve(right if rd is None else rd + right)
+        return self._moved(self.ops.K.solve(right if rd is None else rd + right), 0.0, side)
 
     def _moved(self, dv: np.ndarray, dlam: float, side: np.ndarray) -> Direction:
         s, out = self.state, copy.copy(self)
         out.dv, out.dlam = self.dv + dv, self.dlam + dlam
-        out.rows, out.longest = kernels.expand(
+        out.rows, *longest = kernels.expand(
             self.ops.F @ dv, self.D, side, dlam, s.p, s.q, s.nu, s.lam, self.rows, self.dlam
         )
+        out.longest = np.array(longest) if self.apart else np.full(2, min(longest))
         return out
 
-    def taken(self, step: float) -> InteriorState:
-        """The iterate after the step."""
+    def taken(self, primal: float, dual: float) -> InteriorState:
+        """The iterate after both steps."""
         s = self.state
-        lam = s.lam + step * self.dlam
-        p, q, nu = kernels.taken(s.p, s.q, s.nu, self.rows, step, lam * (1.0 - CLEARANCE))
-        return InteriorState(s.v + step * self.dv, p, q, nu, lam)
+        lam = s.lam + dual * self.dlam
+        p, q, nu = kernels.taken(s.p, s.q, s.nu, self.rows, primal, dual, lam * (1.0 - CLEARANCE))
+        return InteriorState(s.v + primal * self.dv, p, q, nu, lam)
 
 
 def advance(direction: Direction, centring: Centring) -> Progress:
@@ -212,27 +214,27 @@ def advance(direction: Direction, centring: Centring) -> Progress:
     kernels.predictor_side(s.p, s.q, s.nu, s.lam, D, point.hinges, side)
     direction = direction.plus(side, point.left_over)
     mu = s.mu
-    after = kernels.trial(s.p, s.q, s.nu, s.lam, direction.rows, direction.dlam, min(1.0, direction.longest))
+    after = kernels.trial(s.p, s.q, s.nu, s.lam, direction.rows, direction.dlam, *np.minimum(1.0, direction.longest))
     target = mu * min(1.0, max(LEAST_TARGET, centring.ambition * (after / mu) ** 3))
     kernels.corrector_side(s.nu, s.lam, direction.rows, direction.dlam, D, target, side)
     direction = direction.plus(side)
     for _ in range(CORRECTORS):
-        alpha = direction.longest
-        if alpha >= centring.enough:
+        alpha = np.minimum(1.0, direction.longest)
+        if alpha.min() >= centring.enough:
             break
-        reach = min(1.0, alpha + centring.stretch)
+        reach = np.minimum(1.0, alpha + centring.stretch)
         kernels.centrality_side(
-            s.p, s.q, s.nu, s.lam, direction.rows, direction.dlam, D, reach,
+            s.p, s.q, s.nu, s.lam, direction.rows, direction.dlam, D, *reach,
             centring.low * target, centring.high * target, side,
         )  # fmt: skip
         better = direction.plus(side)
-        gain = better.longest - alpha
+        gain = float((np.minimum(1.0, better.longest) - alpha).mean())
         if gain > 0.0:
             direction = better
         if gain < LEAST_GAIN:
             break
-    step = min(1.0, TO_BOUNDARY * direction.longest)
-    return Progress(direction.taken(step), D, step)
+    steps = np.minimum(1.0, TO_BOUNDARY * direction.longest)
+    return Progress(direction.taken(*steps), D, float(steps.min()))
 
 
 def begin_direction(ops: Operators, s: InteriorState) -> Direction | None:

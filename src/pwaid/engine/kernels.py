@@ -58,10 +58,10 @@ def predictor_side(p, q, nu, lam, D, hinges, out):
 def expand(image, D, side, dlam, p, q, nu, lam, before, dlam_before):
     """The direction `before` (rows Δp, Δq, Δν) plus what follows from F Δv = `image` and Δλ for a right-hand side.
 
-    Returns it and the longest step along it that keeps p, q, a and b nonnegative.
+    Returns it and the longest steps along it that keep p and q, and a and b, nonnegative.
     """
     out = np.empty_like(before)
-    rate = 1e-300
+    rate = dual_rate = 1e-300
     total = dlam_before + dlam
     for i in range(D.size):
         a, b = lam - nu[i], lam + nu[i]
@@ -74,20 +74,20 @@ def expand(image, D, side, dlam, p, q, nu, lam, before, dlam_before):
             rate = -dp / p[i]
         if -dq > rate * q[i]:
             rate = -dq / q[i]
-        if dnu - total > rate * a:
-            rate = (dnu - total) / a
-        if -dnu - total > rate * b:
-            rate = (-dnu - total) / b
-    return out, 1.0 / rate
+        if dnu - total > dual_rate * a:
+            dual_rate = (dnu - total) / a
+        if -dnu - total > dual_rate * b:
+            dual_rate = (-dnu - total) / b
+    return out, 1.0 / rate, 1.0 / dual_rate
 
 
 @_compiled
-def trial(p, q, nu, lam, rows, dlam, step):
-    """μ after a step."""
+def trial(p, q, nu, lam, rows, dlam, primal, dual):
+    """μ after steps of p and q, and of ν and λ."""
     total = 0.0
     for i in range(p.size):
-        total += (p[i] + step * rows[0, i]) * (lam - nu[i] + step * (dlam - rows[2, i]))
-        total += (q[i] + step * rows[1, i]) * (lam + nu[i] + step * (dlam + rows[2, i]))
+        total += (p[i] + primal * rows[0, i]) * (lam - nu[i] + dual * (dlam - rows[2, i]))
+        total += (q[i] + primal * rows[1, i]) * (lam + nu[i] + dual * (dlam + rows[2, i]))
     return total / (2 * p.size)
 
 
@@ -102,24 +102,24 @@ def corrector_side(nu, lam, rows, dlam, D, target, out):
 
 
 @_compiled
-def centrality_side(p, q, nu, lam, rows, dlam, D, step, least, most, out):
-    """Move products outside [least, most] after a step back to that interval's ends (Gondzio)."""
+def centrality_side(p, q, nu, lam, rows, dlam, D, primal, dual, least, most, out):
+    """Move products outside [least, most] after both steps back to that interval's ends (Gondzio)."""
     for i in range(p.size):
         a, b = lam - nu[i], lam + nu[i]
-        product = (p[i] + step * rows[0, i]) * (a + step * (dlam - rows[2, i]))
+        product = (p[i] + primal * rows[0, i]) * (a + dual * (dlam - rows[2, i]))
         ra = max(min(max(product, least), most) - product, -most)
-        product = (q[i] + step * rows[1, i]) * (b + step * (dlam + rows[2, i]))
+        product = (q[i] + primal * rows[1, i]) * (b + dual * (dlam + rows[2, i]))
         rb = max(min(max(product, least), most) - product, -most)
         out[0, i], out[1, i] = ra, rb
         out[2, i] = D[i] * (ra / a - rb / b)
 
 
 @_compiled
-def taken(p, q, nu, rows, step, inside):
-    """p, q and ν after a step, with |ν| ≤ inside."""
+def taken(p, q, nu, rows, primal, dual, inside):
+    """p, q and ν after both steps, with |ν| ≤ inside."""
     out = np.empty_like(rows)
     for i in range(p.size):
-        out[0, i] = p[i] + step * rows[0, i]
-        out[1, i] = q[i] + step * rows[1, i]
-        out[2, i] = min(max(nu[i] + step * rows[2, i], -inside), inside)
+        out[0, i] = p[i] + primal * rows[0, i]
+        out[1, i] = q[i] + primal * rows[1, i]
+        out[2, i] = min(max(nu[i] + dual * rows[2, i], -inside), inside)
     return out[0], out[1], out[2]
