@@ -1,7 +1,7 @@
 """The whole proof with one command: generate, run the diagnosis, score, run and score the baselines, make the page.
 
-    python run_all.py WORK [--set calibration|score|score2] [--n 2 single=12] [--classes …] [--cells …] [--processes 2]
-                      [--command "pwaid explain"] [--baselines …] [--page ../../../docs/proof.md]
+    python run_all.py WORK [--set calibration|score|score2|score3] [--n 2 single=12] [--classes …] [--cells …]
+                      [--processes 2] [--command "pwaid explain"] [--baselines …] [--page ../../../docs/proof.md]
 
 Every step resumes where it stopped. The cases are written once; the hash of their key is printed and must be committed
 before the diagnosis is allowed to see a score set: with a score set the run stops after writing the cases until
@@ -74,7 +74,8 @@ def main(argv=None):
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("work", type=Path, help="folder for cases, key, results and scores")
-    parser.add_argument("--set", dest="which", choices=("calibration", "score", "score2"), default="calibration")
+    parser.add_argument("--set", dest="which", choices=("calibration", "score", "score2", "score3"),
+                        default="calibration")
     parser.add_argument("--n", nargs="+", help="cases per class and cell, or CLASS=N, as generate.py takes it")
     parser.add_argument("--classes", nargs="+")
     parser.add_argument("--cells", nargs="+")
