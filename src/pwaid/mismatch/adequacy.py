@@ -19,13 +19,16 @@ __all__ = ["inadequate", "likelihood_gain", "over_floor", "predicted_rest",
 def inadequate(problem: Problem, h: Hypothesis, t: Thresholds) -> str:
     """Why what an effect leaves shows that it is not the one, or an empty text.
 
-    At the floor nothing speaks against it. Above the floor the rest may be a disturbance; then neither maps nor the
-    inputs explain it, no parameter had to leave its tolerance or its bounds to stand in for other physics, and the
-    gain is seen by likelihoods that count a slow wave once. Where noise is a hundredth of what is left, every
+    The gain must be seen by likelihoods that count a slow wave once. At the floor nothing else speaks against it. Above
+    the floor the rest may be a disturbance; then neither maps nor the inputs explain it, and no parameter had to leave
+    its tolerance or its bounds to stand in for other physics. Where noise is a hundredth of what is left, every
     simulator leaves something that maps explain: there this says that more is missing, not that the name is wrong.
     """
     left = over_floor(problem, h.test.Y, t)
     null = over_floor(problem, problem.null_test.Y, t)
+    gain = likelihood_gain(problem, h)
+    if gain < t.evidence:
+        return f"the held-out log-likelihood rose by {gain:.0f} only, once residuals are made white"
     if np.all(left < t.near):
         return ""
     reason = _stretched(problem, h, left, null, t) if np.any(left >= t.left) else ""
@@ -38,9 +41,6 @@ def _stretched(problem: Problem, h: Hypothesis, left, null, t: Thresholds) -> st
         return f"{at_bound(h)[0]} went to its bound and the error is not at the floor"
     if outside(h, t.reach):
         return f"{outside(h, t.reach)[0]} had to leave its tolerance and the error is not at the floor"
-    gain = likelihood_gain(problem, h)
-    if gain < t.evidence:
-        return f"the held-out log-likelihood rose by {gain:.0f} only, once residuals are made white"
     trained = np.mean((problem.train.Y - h.fit.Y) ** 2, axis=0) / _floor(problem, t) ** 2
     if np.all(trained < t.left) and np.any((left > t.outgrown * np.maximum(trained, 1.0)) & (left > t.residue * null)):
         return f"it fits the training recordings to the floor and leaves {np.max(left / trained):.0f} times as much " \

@@ -17,11 +17,13 @@ class Thresholds:
     predicted: float = 0.15  # ... when past inputs predict less than this share of it
     share: float = 0.5  # of the explainable held-out error, with a trusted floor
     share_tentative: float = 0.45  # without one
+    pair_share: float = 0.9  # by two laws together, which bend to much (unless noise is small, see `quiet`)
     second_share: float = 0.35  # of what the single effect left
     nested_gain: float = 0.1  # error the larger of two nested laws must remove beyond the smaller
     nested_share: float = 0.002  # ... and its share of the null's error
     rival: float = 1.15  # error ratio within which a rival of another law is not excluded
     wins: float = 0.8  # share of block bootstraps the winner must win
+    evidence: float = 50.0  # the held-out log-likelihood, residuals made white, must rise by this much
     near: float = 1.3  # held-out mean square after an effect, relative to the floor's, that needs no excuse; beyond it
     mapped: float = 0.3  # maps may remove no more than this share of the excess, held out,
     validated: float = 0.15  # (where they explain at least this share in blocks of training time left out,)
@@ -32,7 +34,6 @@ class Thresholds:
     left_predicted: float = 0.3  # no more of it than this may follow from the inputs,
     trace: float = 0.05  # (unless that is less than this share of what there was to explain,)
     reach: float = 2.9  # no nominal parameter may have moved by more than this many tolerances,
-    outgrown: float = 4.0  # with training at the floor held-out recordings may not leave this many times more,
-    evidence: float = 50.0  # and the held-out log-likelihood, residuals made white, must have risen by this much;
+    outgrown: float = 4.0  # and with training at the floor held-out recordings may not leave this many times more;
     outdone: float = 0.5  # no law refused so may leave less than this share of what the effect leaves
     moved: float = 0.02  # a parameter that moved by this share of its value counts as wrong

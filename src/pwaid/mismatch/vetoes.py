@@ -12,6 +12,9 @@ __all__ = ["at_bound", "outside", "veto"]
 
 _LOOSE = ("stiffness", "contact_frequency", "damping", "phase", "share", "ambient")  # what recordings may leave open
 
+# A stop ends a motion. What gives way by this share of half the travel, this share of the time, is a spring.
+_YIELDING, _PRESSED = 1 / 3, 0.1
+
 
 def at_bound(h: Hypothesis, tolerance: float = 1e-6) -> list[str]:
     """Names of effect parameters that ended at a bound."""
@@ -49,10 +52,12 @@ def veto(problem: Problem, h: Hypothesis) -> str:
             return f"{' and '.join(q.name for q, _ in sizes)} went to zero"
         if e.effect.id == "position_ripple" and z[1] <= np.log(e.effect.quantities[1].low) + 1e-3:
             return "its period is as long as the stroke: no ripple"
-        if e.effect.id == "sensor_saturation" and _beyond(problem, e, values[0]):
+        if e.effect.id == "sensor_saturation" and _beyond(problem, h, e, values[0]):
             return "the recording goes beyond the limit that is said to clip it"
         if e.effect.id == "end_stop" and abs(z[1]) >= 0.9999:
             return "the stop lies outside the travelled range"
+        if e.effect.id == "end_stop" and _yields(h, e, values[1]):
+            return "the recording goes far beyond the stop: it yields like a spring"
         if e.effect.id in ("sensor_saturation", "actuator_saturation", "overflow"):
             top = z[0] if not first.log else np.exp(z[0])
             if top >= 0.9995 and first.high <= 1.0:
@@ -60,14 +65,27 @@ def veto(problem: Problem, h: Hypothesis) -> str:
     return ""
 
 
-def _beyond(problem: Problem, located, limit: float) -> bool:
-    """Whether the output passes the limit by more than its noise in over 1 % of some recording's samples."""
+def _yields(h: Hypothesis, located, position: float) -> bool:
+    """Whether the simulated position is beyond the stop often and passes it by a large part of half the travel."""
+    k, side = located.place.ii[5], located.place.ii[10]
+    s = np.concatenate([h.fit.X[:, k], h.test.X[:, k]])
+    depth = {0: np.abs(s) - abs(position), 1: s - position, -1: position - s}[side]
+    return bool(np.mean(depth > 0) > _PRESSED and depth.max() > _YIELDING * np.ptp(s) / 2)
+
+
+def _beyond(problem: Problem, h: Hypothesis, located, limit: float) -> bool:
+    """Whether the output passes the limit by more than its noise in over 1 % of some recording's samples.
+
+    Where the simulated output passes it as well, another law moved the reading after it was clipped.
+    """
     k, side = located.place.ii[7], located.place.ii[10]
-    for data in (problem.train, problem.test):
+    for data, fit in ((problem.train, h.fit), (problem.test, h.test)):
         for a, b in data.recordings:
-            y = data.Y[a:b, k]
+            y, simulated = data.Y[a:b, k], fit.Y[a:b, k]
             margin = 5.0 * white_level(y, 4) + 0.01 * np.std(y)
-            over = {0: np.abs(y) - abs(limit), 1: y - limit, -1: limit - y}[side]
+            upper = y - np.maximum(np.abs(limit) if side == 0 else limit, simulated)
+            lower = np.minimum(-np.abs(limit) if side == 0 else limit, simulated) - y
+            over = {0: np.maximum(upper, lower), 1: upper, -1: lower}[side]
             if np.mean(over > margin) > 0.01:
                 return True
     return False
