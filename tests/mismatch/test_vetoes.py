@@ -1,0 +1,84 @@
+"""What a fitted law may not be: a stop that yields, a limit that readings pass, a pair that explains too little."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from tests_support import TRUE, oscillator, record
+
+from pwaid.mismatch import Thresholds
+from pwaid.mismatch.decide import decide
+from pwaid.mismatch.effects.registry import effect_by_id
+from pwaid.mismatch.explain import collect
+from pwaid.mismatch.vetoes import veto
+from pwaid.recording import Recording
+
+FREE = ["m", "b", "k"]
+
+
+def pushed(seed, force, noise=2e-3, samples=900, dt=0.02, fine=20):
+    """The true oscillator under a multisine and a force of position and speed."""
+    rng = np.random.default_rng(seed)
+    t = np.arange(samples) * dt
+    u = 0.7 * np.sin(2 * np.pi * np.outer(t, rng.uniform(0.1, 1.5, 8)) + rng.uniform(0, 6.28, 8)).sum(axis=1)
+    x, v, h, y = 0.0, 0.0, dt / fine, np.empty(samples)
+    for k in range(samples):
+        y[k] = x
+        for _ in range(fine):
+            v += h * (u[k] - TRUE["b"] * v - TRUE["k"] * x + force(x, v)) / TRUE["m"]
+            x += h * v
+    return Recording(t, u[:, None], (y + noise * rng.normal(size=samples))[:, None], ("F",), ("x",),
+                     {"F": "N", "x": "m"}, name=f"r{seed}.csv")
+
+
+def gathered(recordings, *ids):
+    return collect(oscillator(), recordings[:2], recordings[2:], FREE,
+                   effects=[e for i in ids for e in effect_by_id(i)])
+
+
+def test_a_stop_that_yields_like_a_spring_is_none():
+    springs = gathered([pushed(s, lambda x, v: -6.0 * x**3) for s in (1, 2, 3)], "end_stop")
+    best = min(springs.singles, key=lambda h: h.test_error)
+    assert best.share > 0.5  # it would pass
+    assert "yields like a spring" in veto(springs.problem, best)
+    assert decide(springs.problem, springs.null, springs.singles, ()).verdict == "unexplained"
+
+
+def test_a_stop_that_stops_is_one():
+    def stop(x, v):
+        depth = np.sign(x) * max(abs(x) - 0.35, 0.0)
+        return -(600.0 * depth + 4.0 * v) if depth * (600.0 * depth + 4.0 * v) > 0 else 0.0
+
+    stops = gathered([pushed(s, stop) for s in (1, 2, 3)], "end_stop")
+    decision = decide(stops.problem, stops.null, stops.singles, ())
+    assert (decision.verdict, decision.chosen.ids) == ("named", ("end_stop",))
+
+
+@pytest.fixture(scope="module")
+def clipped_then_drifting():
+    """Readings clipped at 0.3 m; the sensor drifts by 0.09 m a recording after that."""
+    return gathered([r.replace(outputs=np.clip(r.outputs, -0.3, 0.3) + 5e-3 * r.time[:, None] + 2e-3
+                               * np.random.default_rng(s).normal(size=r.outputs.shape))
+                     for s, r in ((s, record(s, noise=0.0)) for s in (1, 2, 3))], "sensor_saturation", "sensor_drift")
+
+
+def test_readings_that_another_law_moves_past_a_limit_do_not_speak_against_it(clipped_then_drifting):
+    evidence = clipped_then_drifting
+    pairs = [h for h in evidence.pairs if set(h.ids) == {"sensor_saturation", "sensor_drift"} and h.share > 0.9]
+    assert pairs and any(veto(evidence.problem, h) == "" for h in pairs)
+    decision = decide(evidence.problem, evidence.null, evidence.singles, evidence.pairs)
+    assert decision.verdict == "named" and set(decision.chosen.ids) == {"sensor_saturation", "sensor_drift"}
+
+
+def test_a_pair_must_explain_more_than_one_law_must(clipped_then_drifting):
+    evidence = clipped_then_drifting
+    strict = decide(evidence.problem, evidence.null, evidence.singles, evidence.pairs, Thresholds(pair_share=1.1))
+    assert strict.chosen is None or len(strict.chosen.ids) < 2
+
+
+def test_a_law_at_the_floor_must_still_raise_the_likelihood():
+    evidence = gathered([record(s, level=0.06) for s in (1, 2, 3)], "coulomb_friction")
+    named, refused = (decide(evidence.problem, evidence.null, evidence.singles, (), t)
+                      for t in (Thresholds(), Thresholds(evidence=1e9)))
+    assert named.verdict == "named"
+    assert refused.verdict == "unexplained" and any("log-likelihood rose by" in r for r in refused.reasons)
