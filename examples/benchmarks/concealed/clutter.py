@@ -7,6 +7,10 @@ import numpy as np
 
 from concealed import vector as V
 
+# The catalogue's id of each small effect.
+IDS = {"drag": "quadratic_drag", "stiffness_3": "cubic_stiffness", "gain_asymmetry": "actuator_gain_asymmetry",
+       "lag": "actuator_lag", "sensor_cubic": "sensor_nonlinearity", "leak": "leakage", "radiation": "radiation"}
+
 
 def draw(scene, rng, strength, taken):
     """Slots of two or three small effects; none of the slots in `taken`.

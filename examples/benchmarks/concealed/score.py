@@ -15,7 +15,7 @@ from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from concealed import picture, seal, tables
+from concealed import clutter, picture, seal, tables
 from concealed.catalogue import FAMILY
 from concealed.classes import CELLS
 from concealed.judge import judge
@@ -44,6 +44,8 @@ def load(key_folder, seal_file, results, cases=None, first=None):
         verdict = judge(case, entry, report, FAMILY)
         verdict.facts["refused"] = not verdict.facts["named"] and not verdict.facts["failed"]
         verdict.facts["false_name"] = verdict.facts["named"] or verdict.facts["failed"]
+        small = {clutter.IDS[name] for name in entry["clutter"]}
+        verdict.facts["absent_name"] = verdict.facts["failed"] or bool(verdict.ids) and verdict.ids[0] not in small
         verdicts.append(verdict)
     return verdicts
 

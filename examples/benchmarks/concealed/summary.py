@@ -12,7 +12,7 @@ from concealed.wilson import wilson
 
 SINGLE = ("exact_first", "exact_strict", "in_set", "family", "refused", "extra_name", "wrong_name")
 PAIR = ("both", "both_family", "in_set", "refused", "wrong_name")
-QUIET = ("false_name", "quiet")
+QUIET = ("false_name", "absent_name", "quiet")
 REFUSE = ("refused", "unexplained")
 MEASURES = {"single": SINGLE, "pair": PAIR, "clean": QUIET, "parameters": QUIET, "initial_state": QUIET,
             "unexcited": QUIET, "out_of_catalogue": REFUSE, "left_out": REFUSE}
