@@ -45,7 +45,7 @@ def load(key_folder, seal_file, results, cases=None, first=None):
         verdict.facts["refused"] = not verdict.facts["named"] and not verdict.facts["failed"]
         verdict.facts["false_name"] = verdict.facts["named"] or verdict.facts["failed"]
         small = {clutter.IDS[name] for name in entry["clutter"]}
-        verdict.facts["absent_name"] = verdict.facts["failed"] or bool(verdict.ids) and verdict.ids[0] not in small
+        verdict.facts["absent_name"] = verdict.facts["failed"] or (bool(verdict.ids) and verdict.ids[0] not in small)
         verdicts.append(verdict)
     return verdicts
 
