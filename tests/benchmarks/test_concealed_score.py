@@ -22,6 +22,7 @@ from concealed.wilson import wilson
 def entry(name="single", *effects, cell="rich"):
     return {"class": name, "cell": cell, "condition": "multisine", "plant": "rotary_drive", "stranger": "",
             "measured": ["omega_m"], "noise": 0.02, "detectability": {}, "sigma": {"omega_m": 0.1},
+            "clutter": {"drag": 0.01},
             "floor_rmse": {"test_2.csv": {"omega_m": 0.1}},
             "effects": [{"id": i, "equivalents": [], "parameters": {"level": {"value": 2.0, "unit": "N m"}}}
                         for i in effects]}
@@ -79,6 +80,17 @@ def test_a_missing_report_is_a_failure_never_a_refusal(tmp_path):
     key_folder, results, sealed = written(tmp_path, {"c1": entry("clean"), "c2": entry("out_of_catalogue")})
     verdicts = score.load(key_folder, sealed, results)
     assert all(v.facts["failed"] and not v.facts["refused"] and v.facts["false_name"] for v in verdicts)
+
+
+def test_a_name_from_the_clutter_is_false_but_not_absent(tmp_path):
+    answers = {"c1": report("named", "quadratic_drag"), "c2": report("named", "end_stop"), "c3": report("agreement")}
+    key_folder, results, sealed = written(tmp_path, {c: entry("parameters") for c in answers})
+    for case, answer in answers.items():
+        (results / case).mkdir()
+        (results / case / "report.json").write_text(json.dumps(answer), encoding="utf-8")
+    verdicts = score.load(key_folder, sealed, results)
+    assert [v.facts["false_name"] for v in verdicts] == [True, True, False]
+    assert [v.facts["absent_name"] for v in verdicts] == [False, True, False]
 
 
 def written(tmp_path, cases):

@@ -56,7 +56,7 @@ def second_kind(summaries):
         word = " (both)" if "both" in s else ""
         lines.append(f"| {name.removeprefix('concealed_')} | {s['n']} | {_rate(first)}{word} | {_rate(s['in_set'])} | "
                      f"{_rate(s['refused'])} | {_rate(s['wrong_name'])} | {s['failed_runs']} |")
-    return "\n".join(lines)
+    return "\n".join(lines) if len(lines) > 2 else "No such cases in this set."
 
 
 def comparison(scores, nameless=()):

@@ -318,7 +318,8 @@ def _diverging(Y) -> tuple[str, ...]:
     """
     share = np.mean(np.any(~(np.abs(Y) < LIMIT), axis=1))
     if share > 0.9:
-        raise InputError("the simulation diverges from every start state; check signs and units of the simulator")
+        raise InputError("the simulation diverges from every start state; check signs and units of the simulator, and "
+                         "whether a sensor or a force has a constant offset that the simulator knows nothing of")
     return (f"the nominal simulation diverges on {100 * share:.0f} % of the samples before refitting",) if share else ()
 
 
