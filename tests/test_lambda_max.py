@@ -116,6 +116,12 @@ def test_a_kink_at_one_vertex_has_a_known_value():
     assert lambda_max(problem) == pytest.approx(abs(problem.c @ v) / np.abs(problem.F @ v).sum(), rel=1e-6)
 
 
+def test_more_than_rounding_allows_gives_what_was_reached():
+    found, strict = (lambda_max(make(2, 300, 900), tol=tol) for tol in (1e-6, 1e-14))
+    assert strict.width <= found.width
+    assert found.lower <= strict.lower * (1 + 1e-12) and strict.upper <= found.upper * (1 + 1e-12)
+
+
 def test_affine_data_give_zero():
     rng = np.random.default_rng(2)
     mesh = SimplexMesh.uniform([[-1, 1]] * 2, 50, rng)

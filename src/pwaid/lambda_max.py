@@ -43,6 +43,8 @@ REFINEMENTS = 5
 GENEROUS = 2.0
 # A charge above this fraction of tol is no bound: v may still be far from the one that counts.
 SLIGHT = 0.1
+# Both act as if no less were asked for: rounding may not allow it, and what was reached is returned then.
+LEAST_TOL = 1e-6
 # The first λ, as a multiple of the bound that the least-squares z gives.
 FIRST = 1.5
 
@@ -159,7 +161,7 @@ class _Bounds:
             state = advance(BorderedDirection(system, state), QUICK).state
             remaining = 2 * state.nu.size * state.mu / state.lam
             self.ops.single = self.ops.single and remaining > COARSE
-            if not remaining <= NEARLY * self.tol:
+            if not remaining <= NEARLY * max(self.tol, LEAST_TOL):
                 continue
             before = self.upper - self.lower
             self.see(state.v, state.nu, system.multipliers)
@@ -186,7 +188,7 @@ class _Bounds:
             left = ops.c - ops.FT @ z
             charge, most = reach * float(np.abs(left).sum()), float(np.abs(z).max())
             before, best = best, min(best, charge + most)
-            if charge <= SLIGHT * self.tol * most:
+            if charge <= SLIGHT * max(self.tol, LEAST_TOL) * most:
                 self.upper = min(self.upper, charge + most)
             if best > (1.0 - 0.01 * self.tol) * before:
                 break
