@@ -45,8 +45,9 @@ GENEROUS = 2.0
 SLIGHT = 0.1
 # Both act as if no less were asked for: rounding may not allow it, and what was reached is returned then.
 LEAST_TOL = 1e-6
-# The first λ, as a multiple of the bound that the least-squares z gives.
-FIRST = 1.5
+# The first λ, as a multiple of the bound that the least-squares z gives, and how much of Σ(p + q) follows its v.
+FIRST = 2.0
+BENT = 0.3
 
 
 class LambdaMax(float):
@@ -131,24 +132,27 @@ class _Bounds:
         return 1.0 - self.lower / self.upper
 
     def start(self, norms: np.ndarray) -> InteriorState:
-        """v = 0, p = q, and the z of least weighted norm, with λ well above it."""
+        """The z of least weighted norm and its v, with p and q well above zero and λ well above z."""
         ops, weights, mask = self.ops, 1.0 / norms, self.held.mask(self.ops.c.size)
         ops.factorise(weights, float(weights @ norms**2) / mask.sum() * mask)
 
         def multipliers(left: np.ndarray) -> np.ndarray:
             return weights * (ops.F @ ops.K.solve(left))
 
-        z = multipliers(ops.c)
+        v = ops.K.solve(ops.c)
+        hinges = ops.F @ v
+        z = weights * hinges
         most = float(np.abs(z).max())
         if z.size == ops.c.size - self.affine.shape[1]:
             bend = np.zeros_like(z)
             bend[np.abs(z).argmax()] = np.sign(z[np.abs(z).argmax()])
-            v = np.zeros_like(ops.c)
+            only = np.zeros_like(ops.c)
             for _ in range(REFINEMENTS):
-                v += ops.K.solve(ops.FT @ (weights * (bend - ops.F @ v)))
-            self.see(v, z, multipliers)
-        share = np.full(z.size, 0.5 / z.size)
-        return InteriorState(np.zeros_like(ops.c), share, share.copy(), z, FIRST * most)
+                only += ops.K.solve(ops.FT @ (weights * (bend - ops.F @ only)))
+            self.see(only, z, multipliers)
+        scale, share = BENT / float(np.abs(hinges).sum()), 0.5 * (1.0 - BENT) / z.size
+        p, q = (np.maximum(sign * scale * hinges, 0.0) + share for sign in (1.0, -1.0))
+        return InteriorState(scale * v, p, q, z, FIRST * most)
 
     def tighten(self, state: InteriorState, squares: np.ndarray) -> None:
         """Interior point iterations until the bounds are within tol or come no closer."""
