@@ -209,11 +209,8 @@ def test_the_derivative_is_that_of_finite_differences():
 # -- speed ---------------------------------------------------------------------------------------------------------
 
 
-def test_a_million_steps_a_second_and_many_times_find_simplex():
-    """d = 3, N̂ = 10 000; both routes in one run of CPU time, at most three runs (other work may disturb one).
-
-    The ratio depends on how fast the machine interprets Python: 66 and 36 were measured (docs/narx.md; target 50).
-    """
+def test_a_million_steps_a_second_and_fifty_times_find_simplex():
+    """d = 3, N̂ = 10 000; both routes in one run of CPU time, at most three runs (other work may disturb one)."""
     pwa = actuator_map(10_000)
     n = 100_000
     u = inputs(n)
@@ -233,8 +230,8 @@ def test_a_million_steps_a_second_and_many_times_find_simplex():
             seconds.append(time.process_time() - began)
         rate = n / min(seconds)
         print(f"{rate:.3g} steps/s, {rate * per_step:.0f} times find_simplex per step")
-        if rate >= 1e6 and rate * per_step >= 20:
+        if rate >= 1e6 and rate * per_step >= 50:
             break
     np.testing.assert_allclose(run.outputs[:1000, 0], slow, atol=1e-9)
     assert rate >= 1e6
-    assert rate * per_step >= 20
+    assert rate * per_step >= 50

@@ -115,31 +115,64 @@ def _search(t, z, weights):
     return simplex[0]
 
 
-@numba.njit(cache=True, inline="always")
-def _advance(t, y, inputs, k, lags, rule, s, phi, z, weights):
-    """One step: writes y[k]; returns the simplex used and whether C φ was outside the mesh."""
-    d = z.shape[0]
-    _regressor(y, inputs, k, lags[0], lags[1], lags[2] == 1, phi)
-    for i in range(d):
-        z[i] = t.shift[i]
-        for p in range(phi.shape[0]):
-            z[i] += t.project[i, p] * phi[p]
-    found = walk.walk(t.gradients, t.origins, t.neighbors, z, s, INSIDE_TOLERANCE, weights)
-    if found < 0 and (not t.convex or found < -t.neighbors.shape[0]):
-        found = _search(t, z, weights)
-    outside = found < 0
-    if outside:
-        if rule == 2:
-            return s, True
-        found = _outside(t, z, weights, rule)
-    for c in range(y.shape[1]):
-        value = t.intercepts[found, c]
+@numba.njit(cache=True)
+def _simulate(t, y, inputs, lags, rule, limit, complement, S):
+    """`run`, and `run_sensitivity` where S has rows.
+
+    One loop: a step in a function of its own would hold and release every table at each call, which took longer than
+    the step itself.
+    """
+    d = t.project.shape[0]
+    phi, z, weights = np.empty(t.project.shape[1]), np.empty(d), np.empty(d + 1)
+    s, n_outside = 0, 0
+    for k in range(max(lags[0], lags[1]), y.shape[0]):
+        _regressor(y, inputs, k, lags[0], lags[1], lags[2] == 1, phi)
         for i in range(d):
-            value += t.slopes[found, c, i] * (z[i] - t.origins[found, i])
-        for p in range(t.theta.shape[1]):
-            value += t.theta[c, p] * phi[p]
-        y[k, c] = value
-    return found, outside
+            z[i] = t.shift[i]
+            for p in range(phi.shape[0]):
+                z[i] += t.project[i, p] * phi[p]
+        found = walk.walk(t.gradients, t.origins, t.neighbors, z, s, INSIDE_TOLERANCE, weights)
+        if found < 0 and (not t.convex or found < -t.neighbors.shape[0]):
+            found = _search(t, z, weights)
+        if found < 0:
+            n_outside += 1
+            if rule == 2:
+                y[k:] = np.nan
+                return LEFT, k, n_outside
+            found = _outside(t, z, weights, rule)
+        s = found
+        for c in range(y.shape[1]):
+            value = t.intercepts[s, c]
+            for i in range(d):
+                value += t.slopes[s, c, i] * (z[i] - t.origins[s, i])
+            for p in range(t.theta.shape[1]):
+                value += t.theta[c, p] * phi[p]
+            y[k, c] = value
+        for c in range(y.shape[1]):
+            if not abs(y[k, c]) <= limit:
+                y[k:] = np.nan
+                return DIVERGED, k, n_outside
+        if S.shape[0] > 0:
+            _differentiate(t, k, s, phi, weights, lags[0], complement, S)
+    return COMPLETE, y.shape[0], n_outside
+
+
+@numba.njit(cache=True)
+def _differentiate(t, k, s, phi, weights, n_a, complement, S):
+    """Fill row k of S from the rows before it."""
+    n_points, d = t.points.shape[0], t.project.shape[0]
+    for j in range(d + 1):
+        S[k, t.simplices[s, j]] += weights[j]
+    for w in range(complement.shape[1]):
+        for p in range(phi.shape[0]):
+            S[k, n_points + w] += complement[p, w] * phi[p]
+    for i in range(n_a):
+        g = 0.0
+        for q in range(d):
+            g += t.slopes[s, 0, q] * t.project[q, i]
+        if t.theta.shape[1] > 0:
+            g += t.theta[0, i]
+        S[k] += g * S[k - 1 - i]
 
 
 @numba.njit(cache=True)
@@ -155,20 +188,8 @@ def run(t, y, inputs, lags, rule, limit):
     n_outside : int
         Steps with C φ outside the mesh.
     """
-    d = t.project.shape[0]
-    phi, z, weights = np.empty(t.project.shape[1]), np.empty(d), np.empty(d + 1)
-    s, n_outside = 0, 0
-    for k in range(max(lags[0], lags[1]), y.shape[0]):
-        s, outside = _advance(t, y, inputs, k, lags, rule, s, phi, z, weights)
-        n_outside += outside
-        if outside and rule == 2:
-            y[k:] = np.nan
-            return LEFT, k, n_outside
-        for c in range(y.shape[1]):
-            if not abs(y[k, c]) <= limit:
-                y[k:] = np.nan
-                return DIVERGED, k, n_outside
-    return COMPLETE, y.shape[0], n_outside
+    nothing = np.empty((0, 0))
+    return _simulate(t, y, inputs, lags, rule, limit, nothing, nothing)
 
 
 @numba.njit(cache=True)
@@ -192,28 +213,4 @@ def run_sensitivity(t, y, inputs, lags, rule, limit, complement, S):
     S : ndarray, shape (N, n_points + n_w)
         Zero on entry; filled. Rows of the initial samples stay zero.
     """
-    d = t.project.shape[0]
-    phi, z, weights = np.empty(t.project.shape[1]), np.empty(d), np.empty(d + 1)
-    n_points = t.points.shape[0]
-    s, n_outside = 0, 0
-    for k in range(max(lags[0], lags[1]), y.shape[0]):
-        s, outside = _advance(t, y, inputs, k, lags, rule, s, phi, z, weights)
-        n_outside += outside
-        if outside and rule == 2:
-            return LEFT, k, n_outside
-        if not abs(y[k, 0]) <= limit:
-            y[k:] = np.nan
-            return DIVERGED, k, n_outside
-        for j in range(d + 1):
-            S[k, t.simplices[s, j]] += weights[j]
-        for w in range(complement.shape[1]):
-            for p in range(phi.shape[0]):
-                S[k, n_points + w] += complement[p, w] * phi[p]
-        for i in range(lags[0]):
-            g = 0.0
-            for q in range(d):
-                g += t.slopes[s, 0, q] * t.project[q, i]
-            if t.theta.shape[1] > 0:
-                g += t.theta[0, i]
-            S[k] += g * S[k - 1 - i]
-    return COMPLETE, y.shape[0], n_outside
+    return _simulate(t, y, inputs, lags, rule, limit, complement, S)
