@@ -124,7 +124,7 @@ class _Bounds:
     """The bounds for ops.c and how they come together."""
 
     def __init__(self, ops: Operators, affine: np.ndarray, tol: float):
-        self.ops, self.affine, self.tol, self.held = ops, affine, tol, Held(affine)
+        self.ops, self.tol, self.held = ops, tol, Held(affine)
         self.lower, self.upper = 0.0, np.inf
 
     @property
@@ -133,7 +133,7 @@ class _Bounds:
 
     def start(self, norms: np.ndarray) -> InteriorState:
         """The z of least weighted norm and its v, with p and q well above zero and λ well above z."""
-        ops, weights, mask = self.ops, 1.0 / norms, self.held.mask(self.ops.c.size)
+        ops, weights, mask = self.ops, 1.0 / norms, self.held.mask()
         ops.factorise(weights, float(weights @ norms**2) / mask.sum() * mask)
 
         def multipliers(left: np.ndarray) -> np.ndarray:
@@ -143,7 +143,7 @@ class _Bounds:
         hinges = ops.F @ v
         z = weights * hinges
         most = float(np.abs(z).max())
-        if z.size == ops.c.size - self.affine.shape[1]:
+        if z.size == ops.c.size - self.held.vertices.size:
             bend = np.zeros_like(z)
             bend[np.abs(z).argmax()] = np.sign(z[np.abs(z).argmax()])
             only = np.zeros_like(ops.c)
@@ -180,7 +180,7 @@ class _Bounds:
         bound of ‖v‖_∞ where ‖Fv‖₁ = 1.
         """
         ops, best = self.ops, np.inf
-        v = v - self.affine @ (self.affine.T @ v)
+        v = v - self.held.affine @ (self.held.affine.T @ v)
         spent = float(np.abs(ops.F @ v).sum())
         if not (np.isfinite(spent) and spent > 0.0):
             return

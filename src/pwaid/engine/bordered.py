@@ -41,9 +41,9 @@ class Held:
         self.vertices = linalg.qr(affine.T, pivoting=True, mode="r")[1][: affine.shape[1]]
         self._to_coefficients = linalg.inv(affine[self.vertices])
 
-    def mask(self, n: int, *also: int) -> np.ndarray:
+    def mask(self, *also: int) -> np.ndarray:
         """1 at the vertices and at others given, 0 elsewhere."""
-        mask = np.zeros(n)
+        mask = np.zeros(len(self.affine))
         mask[self.vertices] = 1.0
         mask[list(also)] = 1.0
         return mask
@@ -66,7 +66,7 @@ class BorderedSystem:
         pa, qb = s.p / (s.lam - s.nu), s.q / (s.lam + s.nu)
         self.slope = pa - qb
         self.works = False
-        mask, exact = held.mask(s.v.size, self.vertex), kernels.weights(s.p, s.q, s.nu, s.lam)
+        mask, exact = held.mask(self.vertex), kernels.weights(s.p, s.q, s.nu, s.lam)
         softest = float((exact * squares).min())
         for i, most in enumerate(ranges):
             self.ranges = ranges[i:]

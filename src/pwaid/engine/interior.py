@@ -148,11 +148,10 @@ class Operators:
 
 @dataclass(frozen=True)
 class Progress:
-    """What one step did: the iterate, the weights it was found with, and the length of the shorter step."""
+    """What one step did: the iterate, and the weights it was found with."""
 
     state: InteriorState
     weights: np.ndarray
-    step: float
 
 
 def cold_start(problem: HingeProblem, lam: float) -> InteriorState:
@@ -234,7 +233,7 @@ def advance(direction: Direction, centring: Centring) -> Progress:
         if gain < LEAST_GAIN:
             break
     steps = np.minimum(1.0, TO_BOUNDARY * direction.longest)
-    return Progress(direction.taken(*steps), D, float(steps.min()))
+    return Progress(direction.taken(*steps), D)
 
 
 def begin_direction(ops: Operators, s: InteriorState) -> Direction | None:

@@ -24,23 +24,23 @@ def inadequate(problem: Problem, h: Hypothesis, t: Thresholds) -> str:
     its tolerance or its bounds to stand in for other physics. Where noise is a hundredth of what is left, every
     simulator leaves something that maps explain: there this says that more is missing, not that the name is wrong.
     """
-    left = over_floor(problem, h.test.Y, t)
-    null = over_floor(problem, problem.null_test.Y, t)
     gain = likelihood_gain(problem, h)
     if gain < t.evidence:
         return f"the held-out log-likelihood rose by {gain:.0f} only, once residuals are made white"
+    left = over_floor(problem, h.test.Y, t)
     if np.all(left < t.near):
         return ""
-    reason = _stretched(problem, h, left, null, t) if np.any(left >= t.left) else ""
+    reason = _stretched(problem, h, left, t) if np.any(left >= t.left) else ""
     return reason or still_explained(problem, h, t)
 
 
-def _stretched(problem: Problem, h: Hypothesis, left, null, t: Thresholds) -> str:
+def _stretched(problem: Problem, h: Hypothesis, left, t: Thresholds) -> str:
     """What speaks against an effect that is not at the floor, from its parameters and its errors."""
     if at_bound(h):
         return f"{at_bound(h)[0]} went to its bound and the error is not at the floor"
     if outside(h, t.reach):
         return f"{outside(h, t.reach)[0]} had to leave its tolerance and the error is not at the floor"
+    null = over_floor(problem, problem.null_test.Y, t)
     trained = np.mean((problem.train.Y - h.fit.Y) ** 2, axis=0) / _floor(problem, t) ** 2
     if np.all(trained < t.left) and np.any((left > t.outgrown * np.maximum(trained, 1.0)) & (left > t.residue * null)):
         return f"it fits the training recordings to the floor and leaves {np.max(left / trained):.0f} times as much " \

@@ -65,11 +65,16 @@ def veto(problem: Problem, h: Hypothesis) -> str:
     return ""
 
 
+def _past(x, edge: float, side: int) -> np.ndarray:
+    """How far x lies beyond an edge: above it for side 1, below for −1, outside ±edge for 0."""
+    return {0: np.abs(x) - abs(edge), 1: x - edge, -1: edge - x}[side]
+
+
 def _yields(h: Hypothesis, located, position: float) -> bool:
     """Whether the simulated position is beyond the stop often and passes it by a large part of half the travel."""
     k, side = located.place.ii[5], located.place.ii[10]
     s = np.concatenate([h.fit.X[:, k], h.test.X[:, k]])
-    depth = {0: np.abs(s) - abs(position), 1: s - position, -1: position - s}[side]
+    depth = _past(s, position, side)
     return bool(np.mean(depth > 0) > _PRESSED and depth.max() > _YIELDING * np.ptp(s) / 2)
 
 
@@ -79,13 +84,13 @@ def _beyond(problem: Problem, h: Hypothesis, located, limit: float) -> bool:
     Where the simulated output passes it as well, another law moved the reading after it was clipped.
     """
     k, side = located.place.ii[7], located.place.ii[10]
+    edges = ((1, abs(limit)), (-1, -abs(limit))) if side == 0 else ((side, limit),)
     for data, fit in ((problem.train, h.fit), (problem.test, h.test)):
         for a, b in data.recordings:
             y, simulated = data.Y[a:b, k], fit.Y[a:b, k]
             margin = 5.0 * white_level(y, 4) + 0.01 * np.std(y)
-            upper = y - np.maximum(np.abs(limit) if side == 0 else limit, simulated)
-            lower = np.minimum(-np.abs(limit) if side == 0 else limit, simulated) - y
-            over = {0: np.maximum(upper, lower), 1: upper, -1: lower}[side]
+            over = np.max([_past(y, edge, way) - np.maximum(_past(simulated, edge, way), 0.0)
+                           for way, edge in edges], axis=0)
             if np.mean(over > margin) > 0.01:
                 return True
     return False
