@@ -85,9 +85,7 @@ def test_a_missing_report_is_a_failure_never_a_refusal(tmp_path):
 def test_a_name_from_the_clutter_is_false_but_not_absent(tmp_path):
     answers = {"c1": report("named", "quadratic_drag"), "c2": report("named", "end_stop"), "c3": report("agreement")}
     key_folder, results, sealed = written(tmp_path, {c: entry("parameters") for c in answers})
-    for case, answer in answers.items():
-        (results / case).mkdir()
-        (results / case / "report.json").write_text(json.dumps(answer), encoding="utf-8")
+    answered(results, answers)
     verdicts = score.load(key_folder, sealed, results)
     assert [v.facts["false_name"] for v in verdicts] == [True, True, False]
     assert [v.facts["absent_name"] for v in verdicts] == [False, True, False]
@@ -103,6 +101,12 @@ def written(tmp_path, cases):
     (key_folder / "key.json").write_text(json.dumps({"cases": cases}), encoding="utf-8")
     seal.seal(key_folder / "key.json", tmp_path / "key.sha256")
     return key_folder, results, tmp_path / "key.sha256"
+
+
+def answered(results, answers):
+    for case, answer in answers.items():
+        (results / case).mkdir()
+        (results / case / "report.json").write_text(json.dumps(answer), encoding="utf-8")
 
 
 def test_a_changed_key_is_refused(tmp_path, capsys):
@@ -121,9 +125,7 @@ def test_the_scorer_writes_tables_and_a_picture(tmp_path, capsys):
     key_folder, results, sealed = written(tmp_path, cases)
     answers = {"c1": report("named", "coulomb_friction"), "c2": report("agreement"),
                "c3": report("unexplained")}
-    for name, answer in answers.items():
-        (results / name).mkdir()
-        (results / name / "report.json").write_text(json.dumps(answer), encoding="utf-8")
+    answered(results, answers)
     call = ["--key", str(key_folder), "--seal", str(sealed), "--results", str(results), "--save",
             str(tmp_path / "s")]
     assert score.main(call) == 0
@@ -180,9 +182,7 @@ def test_bic_alone_names_the_lowest_whatever_it_is_unless_the_null_is_lower(tmp_
 
 def scored(tmp_path, answers, cases, name="pwaid"):
     key_folder, results, sealed = written(tmp_path, cases)
-    for case, answer in answers.items():
-        (results / case).mkdir()
-        (results / case / "report.json").write_text(json.dumps(answer), encoding="utf-8")
+    answered(results, answers)
     reasons = tmp_path / "reasons.json"
     reasons.write_text(json.dumps({"c2": "the stop was never pressed hard"}), encoding="utf-8")
     assert score.main(["--key", str(key_folder), "--seal", str(sealed), "--results", str(results), "--reasons",

@@ -5,21 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from scipy.signal import lfilter
-from tests_support import TRUE, oscillator, record
+from tests_support import TRUE, gathered, oscillator, record
 
 from pwaid.mismatch import Thresholds
 from pwaid.mismatch.decide import _not_outdone, decide
-from pwaid.mismatch.effects.registry import effect_by_id
-from pwaid.mismatch.explain import collect
 from pwaid.mismatch.leftover import leftover
 from pwaid.mismatch.screen import lattice
-
-FREE = ["m", "b", "k"]
-
-
-def gathered(recordings, *ids, plant=None):
-    return collect(plant or oscillator(), recordings[:2], recordings[2:], FREE,
-                   effects=[e for i in ids for e in effect_by_id(i)])
 
 
 @pytest.fixture(scope="module")

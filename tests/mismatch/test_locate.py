@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from tests_support import TRUE, oscillator
+from tests_support import oscillator, pushed
 
 from pwaid.mismatch import explain
 from pwaid.mismatch.effects.registry import effect_by_id
@@ -16,25 +16,13 @@ from pwaid.mismatch.pictures import pictures
 from pwaid.mismatch.pictures_where import error_shares
 from pwaid.mismatch.smoother import linearise, unknown_inputs
 from pwaid.mismatch.summary import summary_text
-from pwaid.recording import Recording
 
 FREE = ["m", "b", "k"]
 
 
-def bumpy(seed, samples=900, dt=0.02, noise=1e-3, fine=10):
-    """The oscillator with a force that no entry of the catalogue has: a one-sided bump over the position."""
-    rng = np.random.default_rng(seed)
-    t = np.arange(samples) * dt
-    u = 0.7 * np.sin(2 * np.pi * np.outer(t, rng.uniform(0.1, 1.0, 8)) + rng.uniform(0, 6.28, 8)).sum(axis=1)
-    x, v, h, y = 0.0, 0.0, dt / fine, np.empty(samples)
-    for k in range(samples):
-        y[k] = x
-        for _ in range(fine):
-            bump = 1.5 * max(0.0, 1.0 - abs(x - 0.25) / 0.15)
-            v += h * (u[k] - TRUE["b"] * v - TRUE["k"] * x - bump)
-            x += h * v
-    return Recording(t, u[:, None], (y + noise * rng.normal(size=samples))[:, None], ("F",), ("x",),
-                     {"F": "N", "x": "m"}, name=f"bump{seed}.csv")
+def bump(x, v):
+    """A force that no entry of the catalogue has: one-sided, over the position."""
+    return -1.5 * max(0.0, 1.0 - abs(x - 0.25) / 0.15)
 
 
 @pytest.fixture(scope="module")
@@ -45,7 +33,7 @@ def friction(friction_recordings):
 
 @pytest.fixture(scope="module")
 def unnamed():
-    recordings = [bumpy(s) for s in (1, 2, 3)]
+    recordings = [pushed(s, bump, highest=1.0, noise=1e-3, fine=10).replace(name=f"bump{s}.csv") for s in (1, 2, 3)]
     return explain(oscillator(), recordings[:2], recordings[2:], FREE,
                    effects=[*effect_by_id("sensor_saturation"), *effect_by_id("quadratic_drag")])
 

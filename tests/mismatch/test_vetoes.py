@@ -4,36 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from tests_support import TRUE, oscillator, record
+from tests_support import gathered, pushed, record
 
 from pwaid.mismatch import Thresholds
 from pwaid.mismatch.decide import decide
-from pwaid.mismatch.effects.registry import effect_by_id
-from pwaid.mismatch.explain import collect
 from pwaid.mismatch.vetoes import veto
-from pwaid.recording import Recording
-
-FREE = ["m", "b", "k"]
-
-
-def pushed(seed, force, noise=2e-3, samples=900, dt=0.02, fine=20):
-    """The true oscillator under a multisine and a force of position and speed."""
-    rng = np.random.default_rng(seed)
-    t = np.arange(samples) * dt
-    u = 0.7 * np.sin(2 * np.pi * np.outer(t, rng.uniform(0.1, 1.5, 8)) + rng.uniform(0, 6.28, 8)).sum(axis=1)
-    x, v, h, y = 0.0, 0.0, dt / fine, np.empty(samples)
-    for k in range(samples):
-        y[k] = x
-        for _ in range(fine):
-            v += h * (u[k] - TRUE["b"] * v - TRUE["k"] * x + force(x, v)) / TRUE["m"]
-            x += h * v
-    return Recording(t, u[:, None], (y + noise * rng.normal(size=samples))[:, None], ("F",), ("x",),
-                     {"F": "N", "x": "m"}, name=f"r{seed}.csv")
-
-
-def gathered(recordings, *ids):
-    return collect(oscillator(), recordings[:2], recordings[2:], FREE,
-                   effects=[e for i in ids for e in effect_by_id(i)])
 
 
 def test_a_stop_that_yields_like_a_spring_is_none():
