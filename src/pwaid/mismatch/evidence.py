@@ -26,12 +26,13 @@ from pwaid.mismatch.hypotheses import (
     on_whole,
 )
 from pwaid.mismatch.nullfit import Problem
-from pwaid.mismatch.screen import Screened, locate_effects, run_jobs, screen, shortlist
+from pwaid.mismatch.screen import Screened, locate_effects, overlooked, run_jobs, screen, shortlist
 from pwaid.mismatch.thresholds import Thresholds
 
 __all__ = ["Evidence", "gather"]
 
 KEPT = 2.0  # times the noise floor
+MATERIAL, REACHED = 1.25, 1.2  # times the floor's mean square: above it the null errs; below it a law leaves nothing
 
 
 @dataclass(frozen=True)
@@ -63,7 +64,13 @@ def gather(problem: Problem, catalogue: Sequence[Effect], notes: Sequence[str] =
     if at_floor(problem, Thresholds()):
         chosen = chosen[:3]  # nothing to explain: the best few are fitted so that the report can show them
     say(0.3, f"fitting {len(chosen)} candidates")
-    singles = fit_contained(problem, fit_shortlist(problem, chosen, jobs), located, jobs)
+    singles = fit_shortlist(problem, chosen, jobs)
+    if singles and problem.plant.rhs is not None and null.test_error >= MATERIAL * floor_square(problem) \
+            and _above_floor(problem, singles):
+        say(0.45, "fitting effects that the screen does not see")
+        more = fit_shortlist(problem, overlooked(screened, chosen), jobs, keep=2)
+        singles = sorted([*singles, *more], key=lambda h: h.train_error)
+    singles = fit_contained(problem, singles, located, jobs)
     if problem.whole is not None and singles and _keeps_whole(problem, singles[0]):
         problem = problem.uncut()
         null = null_hypothesis(problem)
@@ -96,9 +103,14 @@ def _keeps_whole(problem, best: Hypothesis) -> bool:
 
 def _worth_pairs(problem, null, singles) -> bool:
     """Pairs are searched unless the best single law already reaches the floor, or there is nothing to explain."""
-    return null.test_error >= 1.25 * floor_square(problem) and _short_of_floor(problem, null, singles)
+    return null.test_error >= MATERIAL * floor_square(problem) and _short_of_floor(problem, null, singles)
+
+
+def _above_floor(problem, fitted) -> bool:
+    """Whether even the best of the fitted leaves more than the floor."""
+    return min(h.train_error for h in fitted) > REACHED * floor_square(problem)
 
 
 def _short_of_floor(problem, null, fitted) -> bool:
-    """Whether even the best of the fitted leaves more than the floor, and more than a trifle of the null's error."""
-    return min(h.train_error for h in fitted) > max(1.2 * floor_square(problem), 0.002 * null.train_error)
+    """The same, and more than a trifle of the null's error."""
+    return _above_floor(problem, fitted) and min(h.train_error for h in fitted) > 0.002 * null.train_error

@@ -23,7 +23,8 @@ from pwaid.mismatch.model import LIMIT, Located, Model
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.structure import Structure
 
-__all__ = ["Projector", "Screened", "StartsOut", "lattice", "locate_effects", "run_jobs", "screen", "shortlist"]
+__all__ = ["Projector", "Screened", "StartsOut", "lattice", "locate_effects", "overlooked", "run_jobs", "screen",
+           "shortlist"]
 
 ABSORBED = 1e-5  # a small signature of which less than this share is left is a nominal parameter in disguise
 AGAINST = 0.3  # factor on the score of a law that would have to act against its sign: the null may be bent far
@@ -245,3 +246,16 @@ def shortlist(screened: Sequence[Screened], top: int = 8, per_family: float = 0.
             families.add(effect.family)
             ids.add(effect.id)
     return chosen
+
+
+def overlooked(screened: Sequence[Screened], chosen: Sequence[Screened]) -> list[Screened]:
+    """The best place of every effect that is not among the chosen.
+
+    A threshold that the null has absorbed with bent parameters, such as a small backlash, has no signature there.
+    """
+    ids, found = {s.located.effect.id for s in chosen}, []
+    for s in screened:
+        if s.score > 0 and s.located.effect.id not in ids:
+            ids.add(s.located.effect.id)
+            found.append(s)
+    return found

@@ -1,0 +1,36 @@
+"""Which effects are fitted: those the screen puts first and, short of the floor, the others too."""
+
+from __future__ import annotations
+
+from tests_support import gathered, record
+
+from pwaid.mismatch import evidence as module
+from pwaid.mismatch.decide import decide
+from pwaid.mismatch.screen import overlooked
+
+IDS = ("coulomb_friction", "actuator_lag", "sensor_offset", "cubic_stiffness")
+
+
+def test_an_effect_that_the_screen_puts_last_is_found(monkeypatch):
+    monkeypatch.setattr(module, "shortlist", lambda screened: [
+        s for s in screened if s.located.effect.id != "coulomb_friction"][:2])
+    found = gathered([record(s, level=0.3) for s in (1, 2, 3)], *IDS)
+    decision = decide(found.problem, found.null, found.singles, found.pairs)
+    assert (decision.verdict, decision.chosen.ids) == ("named", ("coulomb_friction",))
+
+
+def test_where_an_effect_reaches_the_floor_no_other_is_looked_for(monkeypatch):
+    asked = []
+    monkeypatch.setattr(module, "overlooked", lambda *args: asked.append(args) or [])
+    gathered([record(s, level=0.3) for s in (1, 2, 3)], *IDS)
+    assert not asked
+
+
+def test_the_best_place_of_every_effect_left_out_is_looked_at():
+    found = gathered([record(s, level=0.3) for s in (1, 2, 3)], *IDS)
+    alive = [s for s in found.screened if s.score > 0]
+    rest = overlooked(found.screened, alive[:1])
+    ids = [s.located.effect.id for s in rest]
+    assert alive[0].located.effect.id not in ids and len(set(ids)) == len(ids)
+    assert set(ids) | {alive[0].located.effect.id} == {s.located.effect.id for s in alive}
+    assert all(s.score == max(a.score for a in alive if a.located.effect.id == s.located.effect.id) for s in rest)
