@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests_support import gathered, pushed, record
 
 from pwaid.mismatch import Thresholds
 from pwaid.mismatch.decide import decide
-from pwaid.mismatch.vetoes import veto
+from pwaid.mismatch.vetoes import at_bound, veto
 
 
 def test_a_stop_that_yields_like_a_spring_is_none():
@@ -57,3 +59,32 @@ def test_a_law_at_the_floor_must_still_raise_the_likelihood():
                       for t in (Thresholds(), Thresholds(evidence=1e9)))
     assert named.verdict == "named"
     assert refused.verdict == "unexplained" and any("log-likelihood rose by" in r for r in refused.reasons)
+
+
+def test_a_clipped_reading_may_pass_its_limit_by_slow_noise_but_not_by_more():
+    def reading(seed, passed):
+        r, rng = record(seed, noise=0.0), np.random.default_rng(100 + seed)
+        slow = np.convolve(rng.normal(size=len(r.time) + 24), np.ones(25) / 5.0, "valid")[:, None]
+        clipped = np.clip(r.outputs, -0.3, 0.3)
+        return r.replace(outputs=clipped + passed * (r.outputs - clipped) + 0.008 * slow)
+
+    for passed, said in ((0.0, ""), (0.4, "the recording goes beyond the limit that is said to clip it")):
+        evidence = gathered([reading(s, passed) for s in (1, 2, 3)], "sensor_saturation")
+        best = min(evidence.singles, key=lambda h: h.train_error)
+        assert best.share > 0.4
+        assert veto(evidence.problem, best) == said
+
+
+def test_a_size_that_vanishes_beside_another_is_not_at_a_bound():
+    evidence = gathered([record(s, level=0.06) for s in (1, 2, 3)], "stribeck_friction")
+    best = min((h for h in evidence.singles if h.ids == ("stribeck_friction",)), key=lambda h: h.train_error)
+    low, high = best.fit.model.bounds(1.0)
+    names, n = [q.name for q in best.located[0].effect.quantities], best.fit.model.np
+
+    def moved(name, to):
+        theta = best.fit.theta.copy()
+        theta[n + names.index(name)] = to[n + names.index(name)]
+        return at_bound(replace(best, fit=replace(best.fit, theta=theta)))
+
+    assert moved("excess", low) == [] and moved("excess", high) == ["excess"]
+    assert moved("stribeck_speed", low) == ["stribeck_speed"]
