@@ -20,16 +20,15 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from concealed import seal
 from concealed.catalogue import IDS
 from concealed.classes import CELLS, CLASSES, CONCEALED, generate, left_out_ids
+from concealed.seeds import EACH, SEEDS
 from concealed.write import key_entry, truth_bytes, write_case
 
-SEEDS = {"calibration": 0, "score": 10000, "score2": 20000, "score3": 30000}
-SLOT = 380  # seeds per class and cell; 26 slots stay below 10000
+SLOT = EACH // (len(CELLS) * len(CLASSES)) // 20 * 20  # seeds per class and cell
 DEFAULT_N = {"single": len(IDS), "left_out": len(IDS), "clean": 40}
 
 
 def seed_of(which, cell, name, index):
-    """Seed of a case: 0–9999 for calibration, 10000–19999 for the first score, 20000–29999 for the second,
-    30000–39999 for the third."""
+    """Seed of a case, among the ten thousand of its set."""
     if index >= SLOT:
         raise ValueError(f"index {index} of class {name}: a class holds at most {SLOT} cases per cell")
     return SEEDS[which] + (CELLS.index(cell) * len(CLASSES) + CLASSES.index(name)) * SLOT + index

@@ -1,6 +1,6 @@
 """The whole proof with one command: generate, run the diagnosis, score, run and score the baselines, make the page.
 
-    python run_all.py WORK [--set calibration|score|score2|score3] [--n 2 single=12] [--classes …] [--cells …]
+    python run_all.py WORK [--set calibration|score|score2|…] [--n 2 single=12] [--classes …] [--cells …]
                       [--processes 2] [--command "pwaid explain"] [--baselines …] [--page ../../../docs/proof.md]
 
 Every step resumes where it stopped. The cases are written once; the hash of their key is printed and must be committed
@@ -15,6 +15,10 @@ import json
 import subprocess
 import sys
 from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from concealed.seeds import SEEDS
 
 HERE = Path(__file__).resolve().parent
 BASELINES = ("always_parameters", "majority", "bic", "sindy", "gaussian_process")
@@ -74,8 +78,7 @@ def main(argv=None):
     """Command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("work", type=Path, help="folder for cases, key, results and scores")
-    parser.add_argument("--set", dest="which", choices=("calibration", "score", "score2", "score3"),
-                        default="calibration")
+    parser.add_argument("--set", dest="which", choices=sorted(SEEDS), default="calibration")
     parser.add_argument("--n", nargs="+", help="cases per class and cell, or CLASS=N, as generate.py takes it")
     parser.add_argument("--classes", nargs="+")
     parser.add_argument("--cells", nargs="+")
