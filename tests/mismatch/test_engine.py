@@ -57,6 +57,18 @@ def test_compiled_loop_equals_plain_loop(name):
     np.testing.assert_allclose(fast, slow, rtol=1e-7, atol=1e-10)
 
 
+@pytest.mark.parametrize("rhs", [PLANT.rhs, None])
+@pytest.mark.parametrize("name", ["coulomb_friction", "input_delay", "end_stop", "actuator_lag", "input_play"])
+def test_several_simulations_in_one_call_equal_single_ones(name, rhs):
+    located = next(e for e in locate_effects(CATALOGUE, structure()) if e.effect.id == name)
+    plant = replace(PLANT, rhs=rhs, out=PLANT.out if rhs else None)
+    model = Model(replace(settings(), plant=plant), (located,))
+    z = located.internal([q.probes[0] for q in located.effect.quantities])
+    asked = [(np.concatenate([np.full(3, d), z]), np.full((1, 2), x)) for d, x in ((0.0, 0.0), (0.2, 0.5), (0.0, 1e9))]
+    for many, (theta, X0) in zip(model.simulate_many(asked, DATA), asked, strict=True):
+        np.testing.assert_array_equal(many, model.simulate(theta, X0, DATA)[0])
+
+
 def test_friction_above_the_force_sticks_exactly():
     located = next(e for e in locate_effects(CATALOGUE, structure()) if e.effect.id == "coulomb_friction")
     level = 1.5 * np.max(np.abs(DATA.U))

@@ -66,7 +66,7 @@ def test_a_clipped_reading_may_pass_its_limit_by_slow_noise_but_not_by_more():
         r, rng = record(seed, noise=0.0), np.random.default_rng(100 + seed)
         slow = np.convolve(rng.normal(size=len(r.time) + 24), np.ones(25) / 5.0, "valid")[:, None]
         clipped = np.clip(r.outputs, -0.3, 0.3)
-        return r.replace(outputs=clipped + passed * (r.outputs - clipped) + 0.008 * slow)
+        return r.replace(outputs=clipped + passed * (r.outputs - clipped) + 0.004 * slow)
 
     for passed, said in ((0.0, ""), (0.4, "the recording goes beyond the limit that is said to clip it")):
         evidence = gathered([reading(s, passed) for s in (1, 2, 3)], "sensor_saturation")

@@ -265,7 +265,7 @@ def _name(problem, best, passed, t, rng, reasons) -> Decision:
             continue
         if any(_inside(inner, h) and _score(inner) < t.rival * _score(h) for inner in passed):
             continue  # a simpler law does as well as this rival: it is the one to compare with
-        ratio = _score(h) / max(_score(best), 1e-300)
+        ratio = _score(h) / max(_score(best), floor_square(problem), 1e-300)  # below the floor nothing is told apart
         if ratio < t.rival or wins(problem, best, h, rng) < t.wins:
             members.append(h)
     if len(members) > 1:

@@ -32,7 +32,7 @@ from numba.core import cgutils
 from numba.core.errors import NumbaExperimentalFeatureWarning
 from numba.extending import intrinsic
 
-__all__ = ["EFFECT_TYPE", "OUT_TYPE", "RHS_TYPE", "idle", "simulate_segments"]
+__all__ = ["EFFECT_TYPE", "OUT_TYPE", "RHS_TYPE", "idle", "simulate_segments", "simulate_variants"]
 
 # everything here is compiled at import; passing functions on to inner functions is what numba warns about
 warnings.filterwarnings("ignore", category=NumbaExperimentalFeatureWarning)
@@ -124,9 +124,21 @@ def simulate_segments(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, 
     Returns the number of segments that left the range |x| <= limit or became NaN; from there on
     their outputs are filled with `limit`.
     """
-    work = np.zeros((14, max(X0.shape[1], U.shape[1], Y.shape[1], p.size)))
     return _loop(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, discrete, p, II, Q, proximal,
-                 partner, ratio, X, Y, limit, work)
+                 partner, ratio, X, Y, limit, _work(X0, U, Y, p))
+
+
+def simulate_variants(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, discrete, p, II, Q,
+                      proximal, partner, ratio, Y, limit) -> int:
+    """The same for several X0, delay, p and Q, the first axis of each and of Y: one call, since handing compiled
+    functions over costs 0.6 ms."""
+    X = np.empty((len(U), X0.shape[2]))
+    return _variants(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, discrete, p, II, Q, proximal,
+                     partner, ratio, X, Y, limit, _work(X0[0], U, Y[0], p[0]))
+
+
+def _work(X0, U, Y, p) -> np.ndarray:
+    return np.zeros((14, max(X0.shape[1], U.shape[1], Y.shape[1], p.size)))
 
 
 @njit(
@@ -305,4 +317,20 @@ def _loop(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, dis
                     for i in range(nt):
                         x[i] = 0.0
                     break
+    return failed
+
+
+@njit(
+    i8(RHS_TYPE, OUT_TYPE, EFFECT_TYPE, EFFECT_TYPE, EFFECT_TYPE, i8, i8, f8[:, :, ::1], i8[:, ::1], f8[:, ::1],
+       f8[:, ::1], f8, i8, f8, i8, f8[:, ::1], i8[:, ::1], f8[:, :, ::1], i8[::1], i8[::1], _V, f8[:, ::1],
+       f8[:, :, ::1], f8, f8[:, ::1]),
+    cache=True, nogil=True, error_model="numpy",
+)
+def _variants(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, discrete, p, II, Q,
+              proximal, partner, ratio, X, Y, limit, work):
+    """`_loop` for every variant."""
+    failed = 0
+    for k in range(p.shape[0]):
+        failed += _loop(rhs, out, e0, e1, e2, ne, nx, X0[k], segments, U, delay[k], Ts, S, hold, discrete, p[k], II,
+                        Q[k], proximal, partner, ratio, X, Y[k], limit, work)
     return failed

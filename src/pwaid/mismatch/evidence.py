@@ -28,11 +28,14 @@ from pwaid.mismatch.hypotheses import (
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.screen import Screened, locate_effects, overlooked, run_jobs, screen, shortlist
 from pwaid.mismatch.thresholds import Thresholds
+from pwaid.mismatch.vetoes import veto
 
 __all__ = ["Evidence", "gather"]
 
 KEPT = 2.0  # times the noise floor
-MATERIAL, REACHED = 1.25, 1.2  # times the floor's mean square: above it the null errs; below it a law leaves nothing
+# Times the floor's mean square: above MATERIAL the null errs; a law that leaves at most REACHED of it in training, and
+# CARRIED on held-out recordings, leaves nothing to look for.
+MATERIAL, REACHED, CARRIED = 1.25, 1.2, 2.0
 
 
 @dataclass(frozen=True)
@@ -80,11 +83,13 @@ def gather(problem: Problem, catalogue: Sequence[Effect], notes: Sequence[str] =
     if singles and _worth_pairs(problem, null, singles):
         say(0.6, "fitting pairs")
         cheap = len(problem.train.U) * problem.settings.substeps < 5000
-        pairs = fit_pairs(problem, singles, located, jobs, width=4 if cheap else 2)
+        pairs = fit_pairs(problem, singles, _sound(problem, singles), located, jobs, width=4 if cheap else 2)
         if pairs and _short_of_floor(problem, null, pairs):
-            pairs = sorted([*pairs, *fit_swaps(problem, pairs, located, jobs)], key=lambda h: h.train_error)
+            swaps = fit_swaps(problem, _sound(problem, pairs), located, jobs)
+            pairs = sorted([*pairs, *swaps], key=lambda h: h.train_error)
         singles = fit_members(problem, pairs, singles, jobs)
-        pairs = sorted([*pairs, *fit_inner(problem, pairs, singles, located, jobs)], key=lambda h: h.train_error)
+        inner = fit_inner(problem, _sound(problem, pairs), located, jobs)
+        pairs = sorted([*pairs, *inner], key=lambda h: h.train_error)
     return Evidence(problem, null, tuple(screened), tuple(singles), tuple(pairs), len(located) + len(pairs),
                     tuple(notes))
 
@@ -101,16 +106,26 @@ def _keeps_whole(problem, best: Hypothesis) -> bool:
     return bool(np.all(error < KEPT * problem.floor.level))
 
 
+def _sound(problem, fitted) -> list[Hypothesis]:
+    """Those that physics does not forbid, or all where it forbids all: on them others are built."""
+    return [h for h in fitted if not veto(problem, h)] or list(fitted)
+
+
 def _worth_pairs(problem, null, singles) -> bool:
     """Pairs are searched unless the best single law already reaches the floor, or there is nothing to explain."""
     return null.test_error >= MATERIAL * floor_square(problem) and _short_of_floor(problem, null, singles)
 
 
-def _above_floor(problem, fitted) -> bool:
-    """Whether even the best of the fitted leaves more than the floor."""
-    return min(h.train_error for h in fitted) > REACHED * floor_square(problem)
+def _above_floor(problem, fitted, trifle: float = 0.0) -> bool:
+    """Whether all of the fitted leave more than the floor and a trifle in training, or stand for other physics.
+
+    At the floor in training and far from it on held-out recordings, a law does, and so does one that has a veto.
+    """
+    floor = floor_square(problem)
+    reached = [h for h in fitted if h.train_error <= max(REACHED * floor, trifle)]
+    return not any(h.test_error <= max(CARRIED * floor, trifle) and not veto(problem, h) for h in reached)
 
 
 def _short_of_floor(problem, null, fitted) -> bool:
-    """The same, and more than a trifle of the null's error."""
-    return _above_floor(problem, fitted) and min(h.train_error for h in fitted) > 0.002 * null.train_error
+    """The same, where a trifle of the null's error counts as nothing left."""
+    return _above_floor(problem, fitted, 0.002 * null.train_error)

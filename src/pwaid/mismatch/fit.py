@@ -86,7 +86,7 @@ def jacobian(model: Model, theta, X0, data: Dataset, sigma, Y, ranges, want_stat
         moved = X0.copy()
         moved[:, i] += own[i]
         asked.append((theta, moved))
-    found = [(simulated - Y) / sigma for simulated, _ in model.simulate_many(asked, data)]
+    found = [(simulated - Y) / sigma for simulated in model.simulate_many(asked, data)]
     for k in range(model.size):
         G[:, k] = np.clip(found[k] / steps[k], -1e9, 1e9).ravel()
     for i, change in enumerate(found[model.size:]):

@@ -208,13 +208,14 @@ def _distinct(hypotheses: Sequence[Hypothesis], count: int) -> list[Hypothesis]:
     return chosen[:count]
 
 
-def fit_pairs(problem: Problem, singles: Sequence[Hypothesis], located: Sequence[Located], jobs: int = 1,
-              beam: int = 2, width: int = 2, tick=None) -> list[Hypothesis]:
-    """On top of the best singles, screen again and fit the best seconds; then the best pair with other laws of the
-    same ids and with the laws its laws contain."""
+def fit_pairs(problem: Problem, singles: Sequence[Hypothesis], sound: Sequence[Hypothesis],
+              located: Sequence[Located], jobs: int = 1, beam: int = 2, width: int = 2,
+              tick=None) -> list[Hypothesis]:
+    """On top of the best singles, and of the best of those that physics does not forbid (`sound`), screen again and
+    fit the best seconds; then the best pair with other laws of the same ids and with the laws its laws contain."""
     pairs: list[Hypothesis] = []
     seen: set[frozenset] = set()
-    for h in _distinct(singles, beam):
+    for h in _distinct([*_distinct(singles, beam), *_distinct(sound, beam)], 2 * beam):
         others = [c for c in located if not _same_knob(c, h.located[0])]
         again = screen(problem, h.coarse, others, jobs)
         chosen = []
@@ -249,13 +250,7 @@ def fit_swaps(problem: Problem, pairs: Sequence[Hypothesis], located: Sequence[L
 
 def _partners(problem, pair, kept, located, seen, jobs, width):
     """Fits of `kept`, a law of the pair, with the best other partners that were not `seen`."""
-    model, parts = pair.coarse.model, pair.coarse.model.located
-    ends = np.cumsum([pair.coarse.model.np, *(e.size for e in parts)])
-    k = parts.index(kept)
-    theta = np.concatenate([pair.coarse.theta[:ends[0]], pair.coarse.theta[ends[k]:ends[k + 1]]])
-    alone = Model(problem.settings, (kept,), model.substeps)
-    Y, X = alone.simulate(theta, pair.coarse.X0, problem.coarse)
-    base = Fit(alone, theta, pair.coarse.X0, np.inf, Y, X, 0)
+    base = _alone(problem, pair, kept)
     others = [c for c in located if not _same_knob(c, kept) and frozenset((c.key, kept.key)) not in seen]
     alive = _untied([s for s in screen(problem, base, others, jobs) if s.score > 0])
     inner = [c.key for s in alive[:width] for c in _inner(s.located, others)]
@@ -267,6 +262,17 @@ def _partners(problem, pair, kept, located, seen, jobs, width):
 def _untied(screened: Sequence[Screened], apart: float = 1e-3) -> list[Screened]:
     """One of those that the screen cannot tell apart, best first."""
     return [s for k, s in enumerate(screened) if k == 0 or screened[k - 1].score - s.score > apart * s.score]
+
+
+def _alone(problem: Problem, pair: Hypothesis, kept: Located) -> Fit:
+    """One law of a fitted pair without the other, everything else as the pair left it."""
+    model, parts = pair.coarse.model, pair.coarse.model.located
+    ends = np.cumsum([model.np, *(e.size for e in parts)])
+    k = parts.index(kept)
+    theta = np.concatenate([pair.coarse.theta[:ends[0]], pair.coarse.theta[ends[k]:ends[k + 1]]])
+    alone = Model(problem.settings, (kept,), model.substeps)
+    Y, X = alone.simulate(theta, pair.coarse.X0, problem.coarse)
+    return Fit(alone, theta, pair.coarse.X0, np.inf, Y, X, 0)
 
 
 def fit_members(problem: Problem, pairs: Sequence[Hypothesis], singles: Sequence[Hypothesis], jobs: int = 1,
@@ -326,16 +332,18 @@ def fit_contained(problem: Problem, singles: Sequence[Hypothesis], located: Sequ
     return sorted(known.values(), key=lambda h: h.train_error)
 
 
-def fit_inner(problem: Problem, pairs: Sequence[Hypothesis], singles: Sequence[Hypothesis],
-              located: Sequence[Located], jobs: int = 1) -> list[Hypothesis]:
-    """The best pair with its first law replaced by those it contains, on top of the second alone."""
-    found = []
-    for pair in _distinct(pairs, 1):
-        base = next((h for h in singles if h.located[0].key == pair.located[1].key), None)
-        inner = _inner(pair.located[0], located)
-        if base is not None and inner:
-            candidates = [s for s in screen(problem, base.coarse, inner, jobs) if s.score > 0]
-            found += fit_shortlist(problem, candidates, jobs, base=base.coarse) if candidates else []
+def fit_inner(problem: Problem, pairs: Sequence[Hypothesis], located: Sequence[Located], jobs: int = 1,
+              count: int = 3) -> list[Hypothesis]:
+    """The best pairs with either law replaced by those it contains, on top of the other law as the pair left it."""
+    seen, found = {frozenset(e.key for e in h.located) for h in pairs}, []
+    for pair in _distinct(pairs, count):
+        for outer, kept in (pair.located, pair.located[::-1]):
+            inner = [c for c in _inner(outer, located) if frozenset((c.key, kept.key)) not in seen]
+            seen |= {frozenset((c.key, kept.key)) for c in inner}
+            if inner:
+                base = _alone(problem, pair, kept)
+                candidates = [s for s in screen(problem, base, inner, jobs) if s.score > 0]
+                found += fit_shortlist(problem, candidates, jobs, base=base) if candidates else []
     return found
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from pwaid.mismatch.blackbox_engine import simulate_black_box
 from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.effects.base import Effect, Place, scale_of, unit_of
-from pwaid.mismatch.engine import idle, simulate_segments
+from pwaid.mismatch.engine import idle, simulate_segments, simulate_variants
 from pwaid.mismatch.plant import Plant
 from pwaid.mismatch.slow_engine import Variant, simulate_columns
 
@@ -212,16 +212,22 @@ class Model:
                           sample_time, 1 if plant.dt else self.substeps, float(s.first_order_hold), int(plant.dt > 0),
                           p, self.II, Q, self.proximal, s.partner, s.ratio, X, Y, LIMIT)
 
-    def simulate_many(self, asked, data: Dataset) -> list[tuple[np.ndarray, np.ndarray]]:
-        """`simulate` for several (theta, X0), in one sweep where the plant runs in Python."""
-        plant = self.settings.plant
-        if plant.rhs is not None or plant.black_box is not None:
-            return [self.simulate(theta, X0, data) for theta, X0 in asked]
+    def simulate_many(self, asked, data: Dataset) -> list[np.ndarray]:
+        """Outputs (N, ny) for several (theta, X0), in one call."""
+        plant, s = self.settings.plant, self.settings
+        if plant.black_box is not None or not asked:
+            return [self.simulate(theta, X0, data)[0] for theta, X0 in asked]
         U0, variants = data.U[data.segments[:, 0]], []
         for theta, X0 in asked:
             Q, delay = self.laws(self.parts(theta), data.U.shape[1])
             variants.append(Variant(self.parameters(theta), Q, delay, self.start(X0, U0)))
-        if not variants:
-            return []
-        X, Y = simulate_columns(self, variants, data.segments, data.U, data.sample_time, LIMIT)
-        return list(zip(Y, X, strict=True))
+        if plant.rhs is None:
+            return list(simulate_columns(self, variants, data.segments, data.U, data.sample_time, LIMIT)[1])
+        Y = np.empty((len(asked), *data.Y.shape))
+        starts, delays, ps, Qs = (np.array([getattr(v, name) for v in variants]) for name in
+                                  ("start", "delay", "p", "Q"))
+        simulate_variants(plant.rhs, plant.out, *self.kernels, len(self.located), self.nx, starts, data.segments,
+                          data.U, delays, data.sample_time, 1 if plant.dt else self.substeps,
+                          float(s.first_order_hold), int(plant.dt > 0), ps, self.II, Qs, self.proximal, s.partner,
+                          s.ratio, Y, LIMIT)
+        return list(Y)

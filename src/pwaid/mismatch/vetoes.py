@@ -18,7 +18,7 @@ _LOOSE = ("stiffness", "contact_frequency", "damping", "phase", "share", "ambien
 _YIELDING, _PRESSED = 1 / 3, 0.1
 
 # A clipped reading passes its limit by noise, at most by this share of what it would pass it by unclipped.
-_SOFT = 0.1
+_SOFT = 0.03
 
 
 def at_bound(h: Hypothesis, tolerance: float = 1e-6) -> list[str]:
