@@ -189,7 +189,8 @@ def _passing_pairs(problem, null, singles, pairs, share, t):
     for h in pairs:
         if not _passes(problem, h, null, share):
             continue
-        if h.share < t.pair_share and np.all(over_floor(problem, h.test.Y, t) < t.quiet):
+        loud = np.all(over_floor(problem, h.test.Y, t) < t.quiet)
+        if h.share < (t.pair_share if loud else t.pair_share_quiet):
             continue
         parts = [by_label.get(e.label) for e in h.located]
         better = [p for p in parts if p is not None]
