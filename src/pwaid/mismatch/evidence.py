@@ -15,17 +15,14 @@ from pwaid.mismatch.effects.base import Effect
 from pwaid.mismatch.hypotheses import (
     Hypothesis,
     fit_contained,
-    fit_inner,
-    fit_members,
-    fit_pairs,
     fit_shortlist,
-    fit_swaps,
     floor_square,
     hypothesis_of,
     null_hypothesis,
     on_whole,
 )
 from pwaid.mismatch.nullfit import Problem
+from pwaid.mismatch.pairs import fit_inner, fit_members, fit_pairs, fit_swaps
 from pwaid.mismatch.screen import Screened, locate_effects, overlooked, run_jobs, screen, shortlist
 from pwaid.mismatch.thresholds import Thresholds
 from pwaid.mismatch.vetoes import veto
@@ -68,30 +65,36 @@ def gather(problem: Problem, catalogue: Sequence[Effect], notes: Sequence[str] =
         chosen = chosen[:3]  # nothing to explain: the best few are fitted so that the report can show them
     say(0.3, f"fitting {len(chosen)} candidates")
     singles = fit_shortlist(problem, chosen, jobs)
-    if singles and problem.plant.rhs is not None and null.test_error >= MATERIAL * floor_square(problem) \
-            and _above_floor(problem, singles):
+    if singles and problem.plant.rhs is not None and _errs(problem, null) and _above_floor(problem, singles):
         say(0.45, "fitting effects that the screen does not see")
-        more = fit_shortlist(problem, overlooked(screened, chosen), jobs, keep=2)
-        singles = sorted([*singles, *more], key=lambda h: h.train_error)
-    singles = fit_contained(problem, singles, located, jobs)
+        singles += fit_shortlist(problem, overlooked(screened, chosen), jobs, keep=2)
+    singles = fit_contained(problem, _sorted(singles), located, jobs)
     if problem.whole is not None and singles and _keeps_whole(problem, singles[0]):
         problem = problem.uncut()
         null = null_hypothesis(problem)
-        singles = sorted(run_jobs(lambda h: hypothesis_of(problem, on_whole(problem, h.coarse), h.score, h.coarse),
-                                  singles, jobs), key=lambda h: h.train_error)
+        singles = _sorted(run_jobs(lambda h: hypothesis_of(problem, on_whole(problem, h.coarse), h.score, h.coarse),
+                                   singles, jobs))
     pairs = []
-    if singles and _worth_pairs(problem, null, singles):
+    if singles and _errs(problem, null) and _short_of_floor(problem, null, singles):
         say(0.6, "fitting pairs")
-        cheap = len(problem.train.U) * problem.settings.substeps < 5000
-        pairs = fit_pairs(problem, singles, _sound(problem, singles), located, jobs, width=4 if cheap else 2)
-        if pairs and _short_of_floor(problem, null, pairs):
-            swaps = fit_swaps(problem, _sound(problem, pairs), located, jobs)
-            pairs = sorted([*pairs, *swaps], key=lambda h: h.train_error)
-        singles = fit_members(problem, pairs, singles, jobs)
-        inner = fit_inner(problem, _sound(problem, pairs), located, jobs)
-        pairs = sorted([*pairs, *inner], key=lambda h: h.train_error)
+        singles, pairs = _pairs(problem, null, singles, located, jobs)
     return Evidence(problem, null, tuple(screened), tuple(singles), tuple(pairs), len(located) + len(pairs),
                     tuple(notes))
+
+
+def _pairs(problem, null, singles, located, jobs):
+    """The singles, refitted from good pairs, and the pairs; best first."""
+    cheap = len(problem.train.U) * problem.settings.substeps < 5000
+    pairs = fit_pairs(problem, singles, _sound(problem, singles), located, jobs, width=4 if cheap else 2)
+    if pairs and _short_of_floor(problem, null, pairs):
+        pairs += fit_swaps(problem, _sound(problem, pairs), located, jobs)
+    pairs = _sorted(pairs)
+    singles = fit_members(problem, pairs, singles, jobs)
+    return singles, _sorted([*pairs, *fit_inner(problem, _sound(problem, pairs), located, jobs)])
+
+
+def _sorted(fitted) -> list[Hypothesis]:
+    return sorted(fitted, key=lambda h: h.train_error)
 
 
 def _keeps_whole(problem, best: Hypothesis) -> bool:
@@ -111,9 +114,9 @@ def _sound(problem, fitted) -> list[Hypothesis]:
     return [h for h in fitted if not veto(problem, h)] or list(fitted)
 
 
-def _worth_pairs(problem, null, singles) -> bool:
-    """Pairs are searched unless the best single law already reaches the floor, or there is nothing to explain."""
-    return null.test_error >= MATERIAL * floor_square(problem) and _short_of_floor(problem, null, singles)
+def _errs(problem, null) -> bool:
+    """Whether there is anything to explain on held-out recordings."""
+    return null.test_error >= MATERIAL * floor_square(problem)
 
 
 def _above_floor(problem, fitted, trifle: float = 0.0) -> bool:

@@ -1,4 +1,4 @@
-"""Fit the short list by simulation error, single effects and pairs, and measure each on held-out recordings."""
+"""Fit single effects by simulation error, and measure each on held-out recordings."""
 
 from __future__ import annotations
 
@@ -14,8 +14,8 @@ from pwaid.mismatch.model import Located, Model
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.screen import Screened, run_jobs, screen
 
-__all__ = ["Hypothesis", "fit_contained", "fit_inner", "fit_members", "fit_pairs", "fit_shortlist", "fit_swaps",
-           "floor_square", "hypothesis_of", "mean_square", "null_hypothesis", "on_whole", "share"]
+__all__ = ["Hypothesis", "fit_contained", "fit_shortlist", "floor_square", "hypothesis_of", "inner_laws", "mean_square",
+           "null_hypothesis", "on_whole", "share"]
 
 
 @dataclass(frozen=True)
@@ -161,7 +161,7 @@ def _resolved(problem: Problem, fit: Fit, most: int = 8) -> Model:
 
 
 def fit_shortlist(problem: Problem, candidates: Sequence[Screened], jobs: int = 1, base: Fit | None = None,
-                  keep: int = 5, tick=None) -> list[Hypothesis]:
+                  keep: int = 5) -> list[Hypothesis]:
     """Try every candidate on top of `base`, a fit on segments (the null by default); fit the `keep` best, best first.
 
     Laws contained in one that is kept, and ties within a factor of two, are kept too.
@@ -170,8 +170,6 @@ def fit_shortlist(problem: Problem, candidates: Sequence[Screened], jobs: int = 
 
     def attempt(candidate):
         trials = _trials(problem, base, candidate)
-        if tick:
-            tick()
         return trials
 
     tried = sorted(zip(run_jobs(attempt, candidates, jobs), candidates, strict=True),
@@ -189,123 +187,7 @@ def fit_shortlist(problem: Problem, candidates: Sequence[Screened], jobs: int = 
     return sorted(run_jobs(finish, kept, jobs), key=lambda h: h.train_error)
 
 
-def _same_knob(a: Located, b: Located) -> bool:
-    """Two laws of one id, or one containing the other, at the same place: not a pair."""
-    if a.place.ii[:6] != b.place.ii[:6] and a.effect.id != b.effect.id:
-        return False
-    return (a.effect.id == b.effect.id or b.effect.id in a.effect.contains
-            or a.effect.id in b.effect.contains)
-
-
-def _distinct(hypotheses: Sequence[Hypothesis], count: int) -> list[Hypothesis]:
-    """The best hypothesis of each id and place, in order."""
-    seen, chosen = set(), []
-    for h in hypotheses:
-        key = (h.ids, tuple(e.place.signal for e in h.located))
-        if key not in seen:
-            seen.add(key)
-            chosen.append(h)
-    return chosen[:count]
-
-
-def fit_pairs(problem: Problem, singles: Sequence[Hypothesis], sound: Sequence[Hypothesis],
-              located: Sequence[Located], jobs: int = 1, beam: int = 2, width: int = 2,
-              tick=None) -> list[Hypothesis]:
-    """On top of the best singles, and of the best of those that physics does not forbid (`sound`), screen again and
-    fit the best seconds; then the best pair with other laws of the same ids and with the laws its laws contain."""
-    pairs: list[Hypothesis] = []
-    seen: set[frozenset] = set()
-    for h in _distinct([*_distinct(singles, beam), *_distinct(sound, beam)], 2 * beam):
-        others = [c for c in located if not _same_knob(c, h.located[0])]
-        again = screen(problem, h.coarse, others, jobs)
-        chosen = []
-        for s in again:
-            key = frozenset(((h.ids[0], h.located[0].place.signal),
-                             (s.located.effect.id, s.located.place.signal)))
-            if s.score > 0 and key not in seen and len(chosen) < width:
-                seen.add(key)
-                chosen.append(s)
-        pairs += fit_shortlist(problem, chosen, jobs, base=h.coarse, tick=tick)
-    pairs.sort(key=lambda h: h.train_error)
-    for best in _distinct(pairs, 1):
-        pairs += _variants(problem, best, singles, located, jobs, tick)
-    return sorted(pairs, key=lambda h: h.train_error)
-
-
-def fit_swaps(problem: Problem, pairs: Sequence[Hypothesis], located: Sequence[Located], jobs: int = 1,
-              width: int = 3, rounds: int = 2) -> list[Hypothesis]:
-    """The best pair with each of its laws in turn replaced, and again while that helps: what its other law and its
-    parameters leave is screened again. A wrong partner bends a right law less than the null bends either."""
-    seen, found = {frozenset(e.key for e in h.located) for h in pairs}, []
-    best = pairs[0]
-    for _ in range(rounds):
-        new = [h for e in best.located for h in _partners(problem, best, e, located, seen, jobs, width)]
-        found += new
-        better = min(new, key=lambda h: h.train_error, default=best)
-        if better.train_error > 0.8 * best.train_error:
-            break
-        best = better
-    return found
-
-
-def _partners(problem, pair, kept, located, seen, jobs, width):
-    """Fits of `kept`, a law of the pair, with the best other partners that were not `seen`."""
-    base = _alone(problem, pair, kept)
-    others = [c for c in located if not _same_knob(c, kept) and frozenset((c.key, kept.key)) not in seen]
-    alive = _untied([s for s in screen(problem, base, others, jobs) if s.score > 0])
-    inner = [c.key for s in alive[:width] for c in _inner(s.located, others)]
-    chosen = alive[:width] + [s for s in alive[width:] if s.located.key in inner]
-    seen |= {frozenset((s.located.key, kept.key)) for s in chosen}
-    return fit_shortlist(problem, chosen, jobs, base=base) if chosen else []
-
-
-def _untied(screened: Sequence[Screened], apart: float = 1e-3) -> list[Screened]:
-    """One of those that the screen cannot tell apart, best first."""
-    return [s for k, s in enumerate(screened) if k == 0 or screened[k - 1].score - s.score > apart * s.score]
-
-
-def _alone(problem: Problem, pair: Hypothesis, kept: Located) -> Fit:
-    """One law of a fitted pair without the other, everything else as the pair left it."""
-    model, parts = pair.coarse.model, pair.coarse.model.located
-    ends = np.cumsum([model.np, *(e.size for e in parts)])
-    k = parts.index(kept)
-    theta = np.concatenate([pair.coarse.theta[:ends[0]], pair.coarse.theta[ends[k]:ends[k + 1]]])
-    alone = Model(problem.settings, (kept,), model.substeps)
-    Y, X = alone.simulate(theta, pair.coarse.X0, problem.coarse)
-    return Fit(alone, theta, pair.coarse.X0, np.inf, Y, X, 0)
-
-
-def fit_members(problem: Problem, pairs: Sequence[Hypothesis], singles: Sequence[Hypothesis], jobs: int = 1,
-                count: int = 3) -> list[Hypothesis]:
-    """The singles, each replaced by a fit that starts from its part of a good pair where that ends lower.
-
-    A second effect of no size can lead the first out of a local minimum; what it led to must stand alone.
-    """
-    known = {h.located[0].key: h for h in singles}
-    starts = {}
-    for pair in pairs[:count]:
-        first = pair.coarse.model.np
-        parts = np.split(pair.coarse.theta, [first, first + pair.located[0].size])
-        for e, z in zip(pair.located, parts[1:], strict=True):
-            rival = known.get(e.key)
-            if rival is None or pair.train_error < 0.8 * rival.train_error:
-                starts.setdefault(e.key, (
-                    e, np.concatenate([parts[0], z]), pair.coarse.X0, pair.coarse.model.substeps))
-
-    def refit(item):
-        e, theta, X0, substeps = item
-        model = Model(problem.settings, (e,), substeps)
-        coarse = fit_model(model, problem.coarse, problem.sigma, theta, X0, problem.ranges, 20, 3e-4)
-        return hypothesis_of(problem, on_whole(problem, coarse), known[e.key].score if e.key in known else 0.0, coarse)
-
-    for h in run_jobs(refit, starts.values(), jobs):
-        rival = known.get(h.located[0].key)
-        if rival is None or h.train_error < rival.train_error:
-            known[h.located[0].key] = h
-    return sorted(known.values(), key=lambda h: h.train_error)
-
-
-def _inner(outer: Located, located: Sequence[Located]) -> list[Located]:
+def inner_laws(outer: Located, located: Sequence[Located]) -> list[Located]:
     """The laws that a law contains, at the same place."""
     return [c for c in located if c.effect.id in outer.effect.contains and c.place.signal == outer.place.signal]
 
@@ -318,7 +200,7 @@ def fit_contained(problem: Problem, singles: Sequence[Hypothesis], located: Sequ
     """
     known = {h.located[0].key: h for h in singles}
     for outer in singles[:count]:
-        inner = _inner(outer.located[0], located)
+        inner = inner_laws(outer.located[0], located)
         if not inner:
             continue
         model, theta = problem.null_coarse.model, outer.coarse.theta[:outer.coarse.model.np]
@@ -330,31 +212,3 @@ def fit_contained(problem: Problem, singles: Sequence[Hypothesis], located: Sequ
             if rival is None or h.train_error < rival.train_error:
                 known[h.located[0].key] = h
     return sorted(known.values(), key=lambda h: h.train_error)
-
-
-def fit_inner(problem: Problem, pairs: Sequence[Hypothesis], located: Sequence[Located], jobs: int = 1,
-              count: int = 3) -> list[Hypothesis]:
-    """The best pairs with either law replaced by those it contains, on top of the other law as the pair left it."""
-    seen, found = {frozenset(e.key for e in h.located) for h in pairs}, []
-    for pair in _distinct(pairs, count):
-        for outer, kept in (pair.located, pair.located[::-1]):
-            inner = [c for c in _inner(outer, located) if frozenset((c.key, kept.key)) not in seen]
-            seen |= {frozenset((c.key, kept.key)) for c in inner}
-            if inner:
-                base = _alone(problem, pair, kept)
-                candidates = [s for s in screen(problem, base, inner, jobs) if s.score > 0]
-                found += fit_shortlist(problem, candidates, jobs, base=base) if candidates else []
-    return found
-
-
-def _variants(problem, pair, singles, located, jobs, tick):
-    """The same two ids under their other laws and places next to these."""
-    first, second = pair.located
-    base = next((h for h in singles if h.located[0].key == first.key), None)
-    if base is None:
-        return []
-    others = [c for c in located if c.effect.id == second.effect.id and c.key != second.key
-              and c.place.kind == second.place.kind][:3]
-    others += _inner(second, located)
-    candidates = [s for s in screen(problem, base.coarse, others, jobs) if s.score > 0]
-    return fit_shortlist(problem, candidates, jobs, base=base.coarse, tick=tick)

@@ -143,8 +143,7 @@ def _peaks(residual, data: Dataset, located, count: int = 3):
     return [2 * np.pi * k / ((b - a) * data.sample_time) for k in found]
 
 
-def screen(problem: Problem, fit: Fit, located: Sequence[Located], jobs: int = 1,
-           tick=None) -> list[Screened]:
+def screen(problem: Problem, fit: Fit, located: Sequence[Located], jobs: int = 1) -> list[Screened]:
     """Score every candidate on top of `fit` (the null, or a hypothesis already accepted), best first.
 
     `fit` is a fit to `problem.coarse`.
@@ -199,8 +198,6 @@ def screen(problem: Problem, fit: Fit, located: Sequence[Located], jobs: int = 1
             if dot < 0 and not signed:
                 start[0] = -start[0]
             scored.append((score, tuple(start)))
-        if tick:
-            tick()
         scored.sort(key=lambda item: -item[0])
         best = scored[0][0] if scored else 0.0
         if best > 0 and visible < 0.02 and small(candidate, model, reference, scored[0][1]) < ABSORBED:

@@ -1,0 +1,158 @@
+"""Pairs of laws: on top of the best single ones, with laws exchanged, and with the laws that their laws contain."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pwaid.mismatch.fit import Fit, fit_model
+from pwaid.mismatch.hypotheses import Hypothesis, fit_shortlist, hypothesis_of, inner_laws, on_whole
+from pwaid.mismatch.model import Located, Model
+from pwaid.mismatch.nullfit import Problem
+from pwaid.mismatch.screen import Screened, run_jobs, screen
+
+__all__ = ["fit_inner", "fit_members", "fit_pairs", "fit_swaps"]
+
+
+def fit_pairs(problem: Problem, singles: Sequence[Hypothesis], sound: Sequence[Hypothesis],
+              located: Sequence[Located], jobs: int = 1, beam: int = 2, width: int = 2) -> list[Hypothesis]:
+    """On top of the best singles, and of the best of those that physics does not forbid (`sound`), screen again and
+    fit the best seconds; then the best pair with other laws of the same ids and with the laws its laws contain."""
+    pairs: list[Hypothesis] = []
+    seen: set[frozenset] = set()
+    for h in _distinct([*_distinct(singles, beam), *_distinct(sound, beam)], 2 * beam):
+        others = [c for c in located if not _same_knob(c, h.located[0])]
+        again = screen(problem, h.coarse, others, jobs)
+        chosen = []
+        for s in again:
+            key = frozenset(((h.ids[0], h.located[0].place.signal),
+                             (s.located.effect.id, s.located.place.signal)))
+            if s.score > 0 and key not in seen and len(chosen) < width:
+                seen.add(key)
+                chosen.append(s)
+        pairs += fit_shortlist(problem, chosen, jobs, base=h.coarse)
+    pairs.sort(key=lambda h: h.train_error)
+    for best in _distinct(pairs, 1):
+        pairs += _variants(problem, best, singles, located, jobs)
+    return sorted(pairs, key=lambda h: h.train_error)
+
+
+def fit_swaps(problem: Problem, pairs: Sequence[Hypothesis], located: Sequence[Located], jobs: int = 1,
+              width: int = 3, rounds: int = 2) -> list[Hypothesis]:
+    """The best pair with each of its laws in turn replaced, and again while that helps: what its other law and its
+    parameters leave is screened again. A wrong partner bends a right law less than the null bends either."""
+    seen, found = {frozenset(e.key for e in h.located) for h in pairs}, []
+    best = pairs[0]
+    for _ in range(rounds):
+        new = [h for e in best.located for h in _partners(problem, best, e, located, seen, jobs, width)]
+        found += new
+        better = min(new, key=lambda h: h.train_error, default=best)
+        if better.train_error > 0.8 * best.train_error:
+            break
+        best = better
+    return found
+
+
+def _partners(problem, pair, kept, located, seen, jobs, width):
+    """Fits of `kept`, a law of the pair, with the best other partners that were not `seen`."""
+    base = _alone(problem, pair, kept)
+    others = [c for c in located if not _same_knob(c, kept) and frozenset((c.key, kept.key)) not in seen]
+    alive = _untied([s for s in screen(problem, base, others, jobs) if s.score > 0])
+    inner = [c.key for s in alive[:width] for c in inner_laws(s.located, others)]
+    chosen = alive[:width] + [s for s in alive[width:] if s.located.key in inner]
+    seen |= {frozenset((s.located.key, kept.key)) for s in chosen}
+    return fit_shortlist(problem, chosen, jobs, base=base) if chosen else []
+
+
+def _untied(screened: Sequence[Screened], apart: float = 1e-3) -> list[Screened]:
+    """One of those that the screen cannot tell apart, best first."""
+    return [s for k, s in enumerate(screened) if k == 0 or screened[k - 1].score - s.score > apart * s.score]
+
+
+def _alone(problem: Problem, pair: Hypothesis, kept: Located) -> Fit:
+    """One law of a fitted pair without the other, everything else as the pair left it."""
+    model, parts = pair.coarse.model, pair.coarse.model.located
+    ends = np.cumsum([model.np, *(e.size for e in parts)])
+    k = parts.index(kept)
+    theta = np.concatenate([pair.coarse.theta[:ends[0]], pair.coarse.theta[ends[k]:ends[k + 1]]])
+    alone = Model(problem.settings, (kept,), model.substeps)
+    Y, X = alone.simulate(theta, pair.coarse.X0, problem.coarse)
+    return Fit(alone, theta, pair.coarse.X0, np.inf, Y, X, 0)
+
+
+def fit_members(problem: Problem, pairs: Sequence[Hypothesis], singles: Sequence[Hypothesis], jobs: int = 1,
+                count: int = 3) -> list[Hypothesis]:
+    """The singles, each replaced by a fit that starts from its part of a good pair where that ends lower.
+
+    A second effect of no size can lead the first out of a local minimum; what it led to must stand alone.
+    """
+    known = {h.located[0].key: h for h in singles}
+    starts = {}
+    for pair in pairs[:count]:
+        first = pair.coarse.model.np
+        parts = np.split(pair.coarse.theta, [first, first + pair.located[0].size])
+        for e, z in zip(pair.located, parts[1:], strict=True):
+            rival = known.get(e.key)
+            if rival is None or pair.train_error < 0.8 * rival.train_error:
+                starts.setdefault(e.key, (
+                    e, np.concatenate([parts[0], z]), pair.coarse.X0, pair.coarse.model.substeps))
+
+    def refit(item):
+        e, theta, X0, substeps = item
+        model = Model(problem.settings, (e,), substeps)
+        coarse = fit_model(model, problem.coarse, problem.sigma, theta, X0, problem.ranges, 20, 3e-4)
+        return hypothesis_of(problem, on_whole(problem, coarse), known[e.key].score if e.key in known else 0.0, coarse)
+
+    for h in run_jobs(refit, starts.values(), jobs):
+        rival = known.get(h.located[0].key)
+        if rival is None or h.train_error < rival.train_error:
+            known[h.located[0].key] = h
+    return sorted(known.values(), key=lambda h: h.train_error)
+
+
+def fit_inner(problem: Problem, pairs: Sequence[Hypothesis], located: Sequence[Located], jobs: int = 1,
+              count: int = 3) -> list[Hypothesis]:
+    """The best pairs with either law replaced by those it contains, on top of the other law as the pair left it."""
+    seen, found = {frozenset(e.key for e in h.located) for h in pairs}, []
+    for pair in _distinct(pairs, count):
+        for outer, kept in (pair.located, pair.located[::-1]):
+            inner = [c for c in inner_laws(outer, located) if frozenset((c.key, kept.key)) not in seen]
+            seen |= {frozenset((c.key, kept.key)) for c in inner}
+            if inner:
+                base = _alone(problem, pair, kept)
+                candidates = [s for s in screen(problem, base, inner, jobs) if s.score > 0]
+                found += fit_shortlist(problem, candidates, jobs, base=base) if candidates else []
+    return found
+
+
+def _variants(problem, pair, singles, located, jobs):
+    """The same two ids under their other laws and places next to these."""
+    first, second = pair.located
+    base = next((h for h in singles if h.located[0].key == first.key), None)
+    if base is None:
+        return []
+    others = [c for c in located if c.effect.id == second.effect.id and c.key != second.key
+              and c.place.kind == second.place.kind][:3]
+    others += inner_laws(second, located)
+    candidates = [s for s in screen(problem, base.coarse, others, jobs) if s.score > 0]
+    return fit_shortlist(problem, candidates, jobs, base=base.coarse)
+
+
+def _same_knob(a: Located, b: Located) -> bool:
+    """Two laws of one id, or one containing the other, at the same place: not a pair."""
+    if a.place.ii[:6] != b.place.ii[:6] and a.effect.id != b.effect.id:
+        return False
+    return (a.effect.id == b.effect.id or b.effect.id in a.effect.contains
+            or a.effect.id in b.effect.contains)
+
+
+def _distinct(hypotheses: Sequence[Hypothesis], count: int) -> list[Hypothesis]:
+    """The best hypothesis of each id and place, in order."""
+    seen, chosen = set(), []
+    for h in hypotheses:
+        key = (h.ids, tuple(e.place.signal for e in h.located))
+        if key not in seen:
+            seen.add(key)
+            chosen.append(h)
+    return chosen[:count]
