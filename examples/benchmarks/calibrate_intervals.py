@@ -20,8 +20,8 @@ from pathlib import Path
 
 import numpy as np
 from calibrate_decisions import evidence_of, key_of
-from concealed.generate import SLOT
 from concealed.quantities import compare
+from concealed.seeds import SLOT
 from scipy.stats import t as student
 
 from pwaid.mismatch.decide import decide

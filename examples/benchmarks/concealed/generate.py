@@ -20,10 +20,9 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from concealed import seal
 from concealed.catalogue import IDS
 from concealed.classes import CELLS, CLASSES, CONCEALED, generate, left_out_ids
-from concealed.seeds import EACH, SEEDS
+from concealed.seeds import SEEDS, SLOT
 from concealed.write import key_entry, truth_bytes, write_case
 
-SLOT = EACH // (len(CELLS) * len(CLASSES)) // 20 * 20  # seeds per class and cell
 DEFAULT_N = {"single": len(IDS), "left_out": len(IDS), "clean": 40}
 
 

@@ -14,8 +14,8 @@ from pwaid.mismatch.model import Located, Model
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.screen import Screened, run_jobs, screen
 
-__all__ = ["Hypothesis", "fit_contained", "fit_shortlist", "floor_square", "hypothesis_of", "inner_laws", "mean_square",
-           "null_hypothesis", "on_whole", "share"]
+__all__ = ["Hypothesis", "fit_contained", "fit_screened", "fit_shortlist", "floor_square", "hypothesis_of",
+           "inner_laws", "mean_square", "null_hypothesis", "on_whole", "share", "without"]
 
 
 @dataclass(frozen=True)
@@ -187,6 +187,21 @@ def fit_shortlist(problem: Problem, candidates: Sequence[Screened], jobs: int = 
     return sorted(run_jobs(finish, kept, jobs), key=lambda h: h.train_error)
 
 
+def fit_screened(problem: Problem, base: Fit, located: Sequence[Located], jobs: int = 1) -> list[Hypothesis]:
+    """Those of these laws that the screen sees on top of `base`, a fit on segments, tried and fitted on it."""
+    return fit_shortlist(problem, [s for s in screen(problem, base, located, jobs) if s.score > 0], jobs, base=base)
+
+
+def without(fit: Fit, dropped: Located, data: Dataset) -> Fit:
+    """A fit with one of its laws taken out and everything else as it was, simulated on its data."""
+    model = fit.model
+    ends = np.cumsum([model.np, *(e.size for e in model.located)])
+    k = model.located.index(dropped)
+    theta = np.delete(fit.theta, np.s_[ends[k]:ends[k + 1]])
+    rest = Model(model.settings, model.located[:k] + model.located[k + 1:], model.substeps)
+    return Fit(rest, theta, fit.X0, np.inf, *rest.simulate(theta, fit.X0, data), 0)
+
+
 def inner_laws(outer: Located, located: Sequence[Located]) -> list[Located]:
     """The laws that a law contains, at the same place."""
     return [c for c in located if c.effect.id in outer.effect.contains and c.place.signal == outer.place.signal]
@@ -206,8 +221,7 @@ def fit_contained(problem: Problem, singles: Sequence[Hypothesis], located: Sequ
         model, theta = problem.null_coarse.model, outer.coarse.theta[:outer.coarse.model.np]
         Y, X = model.simulate(theta, outer.coarse.X0, problem.coarse)
         base = Fit(model, theta, outer.coarse.X0, np.inf, Y, X, 0)
-        candidates = [s for s in screen(problem, base, inner, jobs) if s.score > 0]
-        for h in fit_shortlist(problem, candidates, jobs, base=base) if candidates else ():
+        for h in fit_screened(problem, base, inner, jobs):
             rival = known.get(h.located[0].key)
             if rival is None or h.train_error < rival.train_error:
                 known[h.located[0].key] = h

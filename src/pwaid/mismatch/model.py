@@ -202,19 +202,24 @@ class Model:
 
     def run(self, p, Q, delay, start, segments, U, sample_time: float, X, Y) -> None:
         """Simulate every segment from its start (n_segments, nx + extra) into X and Y."""
-        plant, s = self.settings.plant, self.settings
+        plant = self.settings.plant
         if plant.rhs is None:
             found = simulate_columns(self, [Variant(p, Q, delay, start)], segments, U, sample_time, LIMIT)
             for a, b in segments[:, :2]:
                 X[a:b], Y[a:b] = found[0][0, a:b], found[1][0, a:b]
             return
-        simulate_segments(plant.rhs, plant.out, *self.kernels, len(self.located), self.nx, start, segments, U, delay,
-                          sample_time, 1 if plant.dt else self.substeps, float(s.first_order_hold), int(plant.dt > 0),
-                          p, self.II, Q, self.proximal, s.partner, s.ratio, X, Y, LIMIT)
+        self._compiled(simulate_segments, start, segments, U, delay, sample_time, p, Q, X, Y)
+
+    def _compiled(self, simulate, start, segments, U, delay, sample_time: float, p, Q, *filled) -> None:
+        """Call one of the engine's functions, which fill X and Y, or the Y of several variants."""
+        plant, s = self.settings.plant, self.settings
+        simulate(plant.rhs, plant.out, *self.kernels, len(self.located), self.nx, start, segments, U, delay,
+                 sample_time, 1 if plant.dt else self.substeps, float(s.first_order_hold), int(plant.dt > 0), p,
+                 self.II, Q, self.proximal, s.partner, s.ratio, *filled, LIMIT)
 
     def simulate_many(self, asked, data: Dataset) -> list[np.ndarray]:
         """Outputs (N, ny) for several (theta, X0), in one call."""
-        plant, s = self.settings.plant, self.settings
+        plant = self.settings.plant
         if plant.black_box is not None or not asked:
             return [self.simulate(theta, X0, data)[0] for theta, X0 in asked]
         U0, variants = data.U[data.segments[:, 0]], []
@@ -226,8 +231,5 @@ class Model:
         Y = np.empty((len(asked), *data.Y.shape))
         starts, delays, ps, Qs = (np.array([getattr(v, name) for v in variants]) for name in
                                   ("start", "delay", "p", "Q"))
-        simulate_variants(plant.rhs, plant.out, *self.kernels, len(self.located), self.nx, starts, data.segments,
-                          data.U, delays, data.sample_time, 1 if plant.dt else self.substeps,
-                          float(s.first_order_hold), int(plant.dt > 0), ps, self.II, Qs, self.proximal, s.partner,
-                          s.ratio, Y, LIMIT)
+        self._compiled(simulate_variants, starts, data.segments, data.U, delays, data.sample_time, ps, Qs, Y)
         return list(Y)

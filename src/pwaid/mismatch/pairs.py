@@ -7,7 +7,15 @@ from collections.abc import Sequence
 import numpy as np
 
 from pwaid.mismatch.fit import Fit, fit_model
-from pwaid.mismatch.hypotheses import Hypothesis, fit_shortlist, hypothesis_of, inner_laws, on_whole
+from pwaid.mismatch.hypotheses import (
+    Hypothesis,
+    fit_screened,
+    fit_shortlist,
+    hypothesis_of,
+    inner_laws,
+    on_whole,
+    without,
+)
 from pwaid.mismatch.model import Located, Model
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.screen import Screened, run_jobs, screen
@@ -72,13 +80,7 @@ def _untied(screened: Sequence[Screened], apart: float = 1e-3) -> list[Screened]
 
 def _alone(problem: Problem, pair: Hypothesis, kept: Located) -> Fit:
     """One law of a fitted pair without the other, everything else as the pair left it."""
-    model, parts = pair.coarse.model, pair.coarse.model.located
-    ends = np.cumsum([model.np, *(e.size for e in parts)])
-    k = parts.index(kept)
-    theta = np.concatenate([pair.coarse.theta[:ends[0]], pair.coarse.theta[ends[k]:ends[k + 1]]])
-    alone = Model(problem.settings, (kept,), model.substeps)
-    Y, X = alone.simulate(theta, pair.coarse.X0, problem.coarse)
-    return Fit(alone, theta, pair.coarse.X0, np.inf, Y, X, 0)
+    return without(pair.coarse, next(e for e in pair.located if e.key != kept.key), problem.coarse)
 
 
 def fit_members(problem: Problem, pairs: Sequence[Hypothesis], singles: Sequence[Hypothesis], jobs: int = 1,
@@ -120,9 +122,7 @@ def fit_inner(problem: Problem, pairs: Sequence[Hypothesis], located: Sequence[L
             inner = [c for c in inner_laws(outer, located) if frozenset((c.key, kept.key)) not in seen]
             seen |= {frozenset((c.key, kept.key)) for c in inner}
             if inner:
-                base = _alone(problem, pair, kept)
-                candidates = [s for s in screen(problem, base, inner, jobs) if s.score > 0]
-                found += fit_shortlist(problem, candidates, jobs, base=base) if candidates else []
+                found += fit_screened(problem, _alone(problem, pair, kept), inner, jobs)
     return found
 
 
@@ -135,8 +135,7 @@ def _variants(problem, pair, singles, located, jobs):
     others = [c for c in located if c.effect.id == second.effect.id and c.key != second.key
               and c.place.kind == second.place.kind][:3]
     others += inner_laws(second, located)
-    candidates = [s for s in screen(problem, base.coarse, others, jobs) if s.score > 0]
-    return fit_shortlist(problem, candidates, jobs, base=base.coarse)
+    return fit_screened(problem, base.coarse, others, jobs)
 
 
 def _same_knob(a: Located, b: Located) -> bool:
