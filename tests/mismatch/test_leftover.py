@@ -8,6 +8,7 @@ from scipy.signal import lfilter
 from tests_support import TRUE, gathered, oscillator, record
 
 from pwaid.mismatch import Thresholds
+from pwaid.mismatch.adequacy import inadequate, likelihood_gain
 from pwaid.mismatch.decide import _not_outdone, decide
 from pwaid.mismatch.leftover import leftover
 from pwaid.mismatch.screen import lattice
@@ -28,6 +29,26 @@ def test_maps_explain_what_a_stand_in_leaves_and_not_what_the_law_leaves(rubbing
         assert (rest.after[0] < 0.8 * rest.before[0]) == stands_in
 
 
+def late(seed: int, samples: int = 4):
+    """A recording whose input reached the machine later than it was recorded."""
+    r = record(seed, noise=1e-3)
+    u = np.vstack([r.inputs[samples:], np.repeat(r.inputs[-1:], samples, axis=0)])
+    return r.replace(inputs=u)
+
+
+def test_maps_find_the_delay_that_a_lag_stands_in_for():
+    runs = [late(s) for s in (7, 8, 9)]
+    found = {}
+    for name in ("actuator_lag", "input_delay"):
+        evidence = gathered(runs, name)
+        h = evidence.singles[0]
+        assert h.share > 0.9
+        gain = likelihood_gain(evidence.problem, h)
+        found[name] = leftover(evidence.problem, h.fit, h.test).evidence / gain
+        assert (inadequate(evidence.problem, h, Thresholds()) == "") == (name == "input_delay")
+    assert found["input_delay"] < 0.01 < 0.2 < found["actuator_lag"]
+
+
 def test_maps_do_not_explain_a_disturbance():
     rng = np.random.default_rng(0)
     disturbed = [r.replace(outputs=r.outputs + lfilter([0.02], [1.0, -0.95], rng.normal(size=r.outputs.shape), axis=0))
@@ -41,9 +62,9 @@ def test_maps_do_not_explain_a_disturbance():
 def test_a_stand_in_for_a_law_left_out_is_refused(rubbing):
     evidence = gathered(rubbing, "hysteretic_spring", "actuator_deadzone")
     strict, lenient = (decide(evidence.problem, evidence.null, evidence.singles, (), t)
-                       for t in (Thresholds(), Thresholds(validated=1.0)))
+                       for t in (Thresholds(), Thresholds(validated=1.0, found=1.0)))
     assert strict.verdict == "unexplained"
-    assert any("maps of states and inputs still explain" in r for r in strict.reasons)
+    assert any("maps of states and inputs on top of it raise" in r for r in strict.reasons)
     assert lenient.verdict == "named"  # without the maps the stand-in passes
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pwaid.mismatch.hypotheses import Hypothesis
-from pwaid.mismatch.leftover import leftover
+from pwaid.mismatch.leftover import Leftover, leftover
 from pwaid.mismatch.noise import fit_noise
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.predictability import predictability
@@ -19,19 +19,33 @@ __all__ = ["inadequate", "likelihood_gain", "over_floor", "predicted_rest",
 def inadequate(problem: Problem, h: Hypothesis, t: Thresholds) -> str:
     """Why what an effect leaves shows that it is not the one, or an empty text.
 
-    The gain must be seen by likelihoods that count a slow wave once. At the floor nothing else speaks against it. Above
-    the floor the rest may be a disturbance; then neither maps nor the inputs explain it, and no parameter had to leave
-    its tolerance or its bounds to stand in for other physics. Where noise is a hundredth of what is left, every
-    simulator leaves something that maps explain: there this says that more is missing, not that the name is wrong.
+    The gain must be seen by likelihoods that count a slow wave once, and maps on top must not find a tenth as much. At
+    the floor nothing else speaks against an effect. Above it the rest may be a disturbance; then neither maps nor the
+    inputs explain it, and no parameter had to leave its tolerance or its bounds to stand in for other physics. Where
+    noise is a hundredth of what is left, every simulator leaves something that maps explain: there this says that more
+    is missing, not that the name is wrong, unless the maps find more than a single law itself (two laws must explain
+    more of the error there, see `decide`).
     """
     gain = likelihood_gain(problem, h)
     if gain < t.evidence:
         return f"the held-out log-likelihood rose by {gain:.0f} only, once residuals are made white"
     left = over_floor(problem, h.test.Y, t)
+    maps = leftover(problem, h.fit, h.test)
+    found = _found(maps, gain) if maps else 0.0
+    allowed = t.found if np.any(left < t.quiet) else t.found_quiet if len(h.located) == 1 else np.inf
+    if found > allowed and maps.evidence > t.evidence:
+        return f"maps of states and inputs on top of it raise the held-out log-likelihood by {maps.evidence:.0f}, " \
+               f"itself by {gain:.0f}"
     if np.all(left < t.near):
         return ""
     reason = _stretched(problem, h, left, t) if np.any(left >= t.left) else ""
-    return reason or still_explained(problem, h, t)
+    return reason or still_explained(problem, h, t, maps, abs(found) <= t.unfound)
+
+
+def _found(maps: Leftover, gain: float) -> float:
+    """What maps add to the held-out log-likelihood, as a share of what the effect and they add; negative where they
+    fit the training recordings only."""
+    return maps.evidence / (gain + max(maps.evidence, 0.0))
 
 
 def _stretched(problem: Problem, h: Hypothesis, left, t: Thresholds) -> str:
@@ -48,10 +62,12 @@ def _stretched(problem: Problem, h: Hypothesis, left, t: Thresholds) -> str:
     return ""
 
 
-def still_explained(problem: Problem, h: Hypothesis, t: Thresholds) -> str:
+def still_explained(problem: Problem, h: Hypothesis, t: Thresholds, maps: Leftover | None,
+                    acquitted: bool = False) -> str:
     """Whether the inputs predict, or maps of states, inputs and outputs explain, a material part of what is left.
 
-    The null's answer does not depend on how quiet the noise is: what can be explained there is missing.
+    The null's answer does not depend on how quiet the noise is: what can be explained there is missing. `acquitted`
+    says that likelihoods see nothing in what the maps remove.
     """
     left = over_floor(problem, h.test.Y, t)
     null = over_floor(problem, problem.null_test.Y, t)
@@ -59,13 +75,12 @@ def still_explained(problem: Problem, h: Hypothesis, t: Thresholds) -> str:
     rest = predicted_rest(problem, h, left, t)
     if np.any(loud & (rest * left > np.maximum(t.trace * null, t.left))):
         return f"the inputs still predict {100 * float(np.max(rest)):.0f} % of what it leaves"
-    maps = leftover(problem, h.fit, h.test)
     if maps is None or maps.validated < t.validated:
         return ""
     floor = _floor(problem, t) ** 2
     before, removed = maps.before / floor, (maps.before - maps.after) / floor
     found = loud & (removed > t.mapped * np.maximum(before - 1.0, t.near - 1.0)) & (removed > t.residue * null)
-    if found.any():
+    if found.any() and not acquitted:
         part = 100 * float(np.max((removed / before)[found]))
         return f"maps of states and inputs still explain {part:.0f} % of what it leaves"
     judged = loud | (len(h.located) > 1)  # two laws together claim to be all there is

@@ -16,6 +16,7 @@ import numpy as np
 
 from pwaid.mismatch.adequacy import inadequate, over_floor, predicted_rest, still_explained
 from pwaid.mismatch.hypotheses import Hypothesis, floor_square, mean_square
+from pwaid.mismatch.leftover import leftover
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.predictability import predictability
 from pwaid.mismatch.thresholds import Thresholds
@@ -116,7 +117,7 @@ def decide(problem: Problem, null: Hypothesis, singles: Sequence[Hypothesis], pa
     if passed_pairs:
         pair = _prefer_smaller(problem, passed_pairs[0], passed_pairs, t)
         return _name(problem, pair, passed_pairs, t, rng, reasons)
-    if _unrelated(problem, t) and not still_explained(problem, null, t):
+    if _unrelated(problem, t) and not still_explained(problem, null, t, leftover(problem, null.fit, null.test)):
         reasons.append("what is left is small and past inputs do not predict it: a disturbance, not physics left out")
         return Decision(_agreement_or_parameters(problem, t), null, (), (), tuple(reasons))
     reasons.append("no effect removed enough of the held-out error")

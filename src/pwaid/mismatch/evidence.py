@@ -22,7 +22,7 @@ from pwaid.mismatch.hypotheses import (
     on_whole,
 )
 from pwaid.mismatch.nullfit import Problem
-from pwaid.mismatch.pairs import fit_inner, fit_members, fit_pairs, fit_swaps
+from pwaid.mismatch.pairs import fit_inner, fit_members, fit_pairs, fit_reversed, fit_swaps
 from pwaid.mismatch.screen import Screened, locate_effects, overlooked, run_jobs, screen, shortlist
 from pwaid.mismatch.thresholds import Thresholds
 from pwaid.mismatch.vetoes import veto
@@ -89,6 +89,7 @@ def _pairs(problem, null, singles, located, jobs):
     if pairs and _short_of_floor(problem, null, pairs):
         pairs += fit_swaps(problem, _sound(problem, pairs), located, jobs)
     pairs = _sorted(pairs)
+    pairs = _sorted([*pairs, *fit_reversed(problem, pairs, jobs)])
     singles = fit_members(problem, pairs, singles, jobs)
     return singles, _sorted([*pairs, *fit_inner(problem, _sound(problem, pairs), located, jobs)])
 

@@ -130,7 +130,7 @@ def _finish(problem: Problem, base: Fit, trials: Sequence[Fit], iterations: int 
             break
         ends.append(fit_model(trial.model, problem.coarse, problem.sigma, trial.theta, base.X0,
                               problem.ranges, 5, 1e-3))
-    best = min(ends, key=lambda f: f.cost)
+    best = problem.rescanned(min(ends, key=lambda f: f.cost))
     model = _resolved(problem, best)
     coarse = fit_model(model, problem.coarse, problem.sigma, best.theta, best.X0, problem.ranges, iterations, 3e-4)
     return on_whole(problem, coarse, iterations), coarse

@@ -11,7 +11,7 @@ counts is how much of the held-out residual the sum then removes. Unlike a regre
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -19,12 +19,14 @@ from pwaid.mismatch.correction import CORRECTION, curve_place
 from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.fit import Fit, jacobian, weighted
 from pwaid.mismatch.model import Located, Model
+from pwaid.mismatch.noise import NoiseModel, fit_noise
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.screen import StartsOut
 
 __all__ = ["Leftover", "leftover"]
 
 HATS = 9  # per map
+LAGS = (1, 2, 4, 8)  # samples by which an input or a reading may come later
 SMALL = 0.01  # of the force scale: the size of an injected hat
 RIDGES = (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)  # of the mean square of a response, per sample
 BLOCKS, FOLDS = 10, 5
@@ -33,11 +35,13 @@ BLOCKS, FOLDS = 10, 5
 @dataclass(frozen=True)
 class Leftover:
     """Held-out mean square of each output, in its unit squared, `before` and `after` maps explain what they can, (ny,);
-    `validated`: share of the training residual that the maps explain in blocks of time left out."""
+    `validated`: share of the training residual that the maps explain in blocks of time left out; `evidence`: rise of
+    the held-out log-likelihood with the maps, residuals made white."""
 
     before: np.ndarray
     after: np.ndarray
     validated: float
+    evidence: float
 
 
 def _channels(problem: Problem) -> list[tuple[str, int, float]]:
@@ -74,6 +78,15 @@ def _forces(problem: Problem, fit: Fit) -> list[Model]:
     return models
 
 
+def _late(z, data: Dataset, lag: int) -> np.ndarray:
+    """What a signal (N,) would change by if it came `lag` samples later; recordings keep their first value."""
+    out = np.empty_like(z)
+    for a, b in data.recordings:
+        k = min(lag, b - a)
+        out[a:b] = np.concatenate([np.full(k, z[a]), z[a:b - k]]) - z[a:b]
+    return out
+
+
 def _responses(problem: Problem, fit: Fit, held: Fit) -> tuple[np.ndarray, np.ndarray]:
     """Responses on training and held-out outputs in units of sigma, (N ny, n) each; those that run away left out."""
     columns = []
@@ -81,7 +94,20 @@ def _responses(problem: Problem, fit: Fit, held: Fit) -> tuple[np.ndarray, np.nd
     theta = np.append(fit.theta, 1.0)
     for model in _forces(problem, fit):
         columns.append([((model.simulate(theta, f.X0, data)[0] - f.Y) / problem.sigma).ravel() for data, f in sets])
+    for j, lag in itertools.product(range(problem.train.U.shape[1]), LAGS):
+        both = []
+        for data, f in sets:
+            U = data.U.copy()
+            U[:, j] += SMALL * _late(data.U[:, j], data, lag)
+            Y = fit.model.simulate(fit.theta, f.X0, replace(data, U=U))[0]
+            both.append(((Y - f.Y) / problem.sigma).ravel())
+        columns.append(both)
     for k in range(problem.train.Y.shape[1]):
+        for lag in LAGS:
+            both = [np.zeros_like(data.Y) for data, _ in sets]
+            for change, (data, f) in zip(both, sets, strict=True):
+                change[:, k] = SMALL * _late(f.Y[:, k], data, lag) / problem.sigma[k]
+            columns.append([change.ravel() for change in both])
         span = _span(fit.Y[:, k])
         for hat in np.eye(HATS) if span else ():
             both = [np.zeros_like(data.Y) for data, _ in sets]
@@ -92,12 +118,22 @@ def _responses(problem: Problem, fit: Fit, held: Fit) -> tuple[np.ndarray, np.nd
     return tuple(np.column_stack([c[side] for c in kept]) for side in (0, 1))
 
 
-def _free_of_starts(problem: Problem, data: Dataset, fit: Fit, S) -> tuple[np.ndarray, np.ndarray]:
-    """Residual and responses, those to parameters included, with what start states explain taken out."""
+def _white(noise: NoiseModel, data: Dataset, M) -> np.ndarray:
+    """Weighted output signals (N ny, n) filtered so that what the noise model describes comes out white."""
+    N, ny = data.Y.shape
+    return noise.innovations(M.reshape(N, ny, -1), data.segments).reshape(N * ny, -1)
+
+
+def _signals(problem: Problem, data: Dataset, fit: Fit, S) -> tuple[np.ndarray, np.ndarray]:
+    """Residual, responses to parameters and those given, (N ny, 1 + n); and responses to start states, (N ny, nx)."""
     J = jacobian(fit.model, fit.theta, fit.X0, data, problem.sigma, fit.Y, problem.ranges,
                  bounds=fit.model.bounds(data.sample_time))
-    e = weighted(fit.Y, data, problem.sigma)
-    M = StartsOut(J.S, data)(np.column_stack([e, J.G, S]))
+    return np.column_stack([weighted(fit.Y, data, problem.sigma), J.G, S]), J.S
+
+
+def _free_of_starts(data: Dataset, M, starts) -> tuple[np.ndarray, np.ndarray]:
+    """Residual and responses with what start states explain taken out."""
+    M = StartsOut(starts, data)(M)
     return M[:, 0], M[:, 1:]
 
 
@@ -111,6 +147,9 @@ def _folds(data: Dataset) -> np.ndarray:
 
 def _weights(A, e, fold) -> tuple[np.ndarray, float]:
     """Ridge weights, their strength by the folds, and the share of e explained in folds left out."""
+    size = np.sqrt(np.mean(A**2, axis=0))
+    size[size <= 1e-9 * size.max()] = np.inf
+    A = A / size
     eye, best = len(A) * np.eye(A.shape[1]), (np.inf, RIDGES[0])
     whole, parts = (A.T @ A, A.T @ e), []
     for f in range(FOLDS):
@@ -119,7 +158,8 @@ def _weights(A, e, fold) -> tuple[np.ndarray, float]:
     for ridge in RIDGES:
         error = sum(float(np.sum((e[out] - A[out] @ np.linalg.solve(H + ridge * eye, g)) ** 2)) for out, H, g in parts)
         best = min(best, (error, ridge))
-    return np.linalg.solve(whole[0] + best[1] * eye, whole[1]), 1.0 - best[0] / max(float(e @ e), 1e-300)
+    w = np.linalg.solve(whole[0] + best[1] * eye, whole[1]) / size
+    return w, 1.0 - best[0] / max(float(e @ e), 1e-300)
 
 
 def leftover(problem: Problem, fit: Fit, held: Fit) -> Leftover | None:
@@ -135,12 +175,13 @@ def leftover(problem: Problem, fit: Fit, held: Fit) -> Leftover | None:
     """
     if problem.plant.black_box is not None or problem.plant.rhs is None or len(fit.model.located) > 2:
         return None
-    S, T = _responses(problem, fit, held)
-    e, A = _free_of_starts(problem, problem.train, fit, S)
-    q, B = _free_of_starts(problem, problem.test, held, T)
-    scale = np.sqrt(np.mean(A**2, axis=0))
-    keep = scale > 1e-9 * scale.max()
-    A, B = A[:, keep] / scale[keep], B[:, keep] / scale[keep]
-    w, validated = _weights(A, e, _folds(problem.train))
-    before, after = (problem.sigma**2 * np.mean(r.reshape(problem.test.Y.shape) ** 2, axis=0) for r in (q, q - B @ w))
-    return Leftover(before, after, validated)
+    train, test = problem.train, problem.test
+    sides = [(data, *_signals(problem, data, f, S)) for data, f, S in
+             zip((train, test), (fit, held), _responses(problem, fit, held), strict=True)]
+    (e, A), (q, B) = (_free_of_starts(*side) for side in sides)
+    w, validated = _weights(A, e, _folds(train))
+    before, after = (problem.sigma**2 * np.mean(r.reshape(test.Y.shape) ** 2, axis=0) for r in (q, q - B @ w))
+    noise = fit_noise((e - A @ w).reshape(train.Y.shape), train.segments)
+    (e, A), (q, B) = (_free_of_starts(data, *(_white(noise, data, M) for M in both)) for data, *both in sides)
+    rest = q - B @ _weights(A, e, _folds(train))[0]
+    return Leftover(before, after, validated, 0.5 * float(q @ q - rest @ rest))

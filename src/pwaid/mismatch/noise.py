@@ -24,15 +24,18 @@ class NoiseModel:
     variance: np.ndarray
 
     def innovations(self, residual, segments) -> np.ndarray:
-        """Innovations in units of their standard deviation, (N, ny); zero where a segment's past is too short."""
+        """Innovations in units of their standard deviation; zero where a segment's past is too short.
+
+        `residual` is (N, ny), or (N, ny, n) for n signals at once; so is what comes back.
+        """
         e = np.zeros_like(residual)
         for k, a in enumerate(self.coefficients):
             p = len(a)
             for first, last in np.asarray(segments)[:, :2]:
                 r = residual[first:last, k]
                 if len(r) > p:
-                    e[first + p:last, k] = r[p:] - _past(r, p) @ a
-        return e / np.sqrt(self.variance)
+                    e[first + p:last, k] = r[p:] - sum(c * r[p - i - 1:len(r) - i - 1] for i, c in enumerate(a))
+        return e / np.sqrt(self.variance).reshape(-1, *[1] * (e.ndim - 2))
 
 
 def _past(r, p):

@@ -11,11 +11,12 @@ import numpy as np
 
 from pwaid.errors import InputError
 from pwaid.mismatch.dataset import Dataset
-from pwaid.mismatch.fit import Fit, fit_model, fit_starts, jacobian
+from pwaid.mismatch.fit import Fit, fit_model, fit_starts
 from pwaid.mismatch.floor import Floor, estimate_floor, white_level
 from pwaid.mismatch.model import LIMIT, Model, Settings
 from pwaid.mismatch.plant import Plant
 from pwaid.mismatch.probing import find_structure
+from pwaid.mismatch.startscan import best_starts, scans, unseen_directions
 from pwaid.mismatch.structure import Structure
 
 __all__ = ["Problem", "first_states", "prepare"]
@@ -54,15 +55,23 @@ class Problem:
         """The fitted model on the held-out recordings, its start states fitted there, segment by segment the best of
         several starts: the null's, which may be bent to absorb the effect; the measured ones; and, for states that
         the null does not see, a scan of the range they visit."""
-        s = self.structure
-        measured = first_states(self.plant, s.start_map, self.test)
-        best = self._starts_from(fit, self.null_test.X0)
-        for X0 in (measured, *self._scans(fit, best.X0)):
-            other = self._starts_from(fit, X0)
-            better = self._by_segment(other) < self._by_segment(best)
-            if better.any():
-                best = self._starts_from(fit, np.where(better[:, None], other.X0, best.X0))
-        return best
+        measured = first_states(self.plant, self.structure.start_map, self.test)
+        best = fit_starts(fit.model, self.test, self.sigma, fit.theta, self.null_test.X0, self.ranges)
+        return best_starts(self, fit, best, (measured, *scans(self, fit, best.X0, self.test)), self.test)
+
+    def rescanned(self, fit: Fit) -> Fit:
+        """A fit to `coarse`, with start states that the null does not see looked for over their range.
+
+        As it came where simulations are slow.
+        """
+        if self.plant.rhs is None:
+            return fit
+        return best_starts(self, fit, fit, scans(self, fit, fit.X0, self.coarse), self.coarse)
+
+    @cached_property
+    def unseen(self) -> list[tuple[int, np.ndarray]]:
+        """Directions of the start state that the null's outputs do not depend on."""
+        return unseen_directions(self)
 
     def uncut(self) -> Problem:
         """The same problem judged on whole recordings, for hypotheses that keep them where the null does not."""
@@ -76,37 +85,6 @@ class Problem:
         null = fitted(train, theta, fit_model)
         return replace(self, train=train, test=test, whole=None, nominal=fitted(train, 0 * theta), null=null,
                        nominal_test=fitted(test, 0 * theta), null_test=fitted(test, null.theta))
-
-    def _starts_from(self, fit: Fit, X0) -> Fit:
-        return fit_starts(fit.model, self.test, self.sigma, fit.theta, X0, self.ranges)
-
-    def _scans(self, fit: Fit, X0, count: int = 48, best: int = 3):
-        """Start states with one unseen state at the deepest valleys of a scan, `best` arrays per unseen state."""
-        found = []
-        for i in self.unseen if fit.model.located else ():
-            values = np.linspace(self.structure.low[i], self.structure.high[i], count)
-            trials = np.repeat(X0[None], count, axis=0)
-            trials[:, :, i] = values[:, None]
-            runs = [fit.model.simulate(fit.theta, x, self.test) for x in trials]
-            sums = np.array([self._by_segment(replace(fit, Y=Y, X=X)) for Y, X in runs])
-            padded = np.pad(sums, ((1, 1), (0, 0)), constant_values=np.inf)
-            valley = np.where((sums <= padded[:-2]) & (sums <= padded[2:]), sums, np.inf)
-            order = np.argsort(valley, axis=0)[:best]
-            found += [trials[row, np.arange(len(X0))] for row in order]
-        return found
-
-    @cached_property
-    def unseen(self) -> tuple[int, ...]:
-        """States whose start the null's outputs do not depend on, such as the position where only speed is measured."""
-        J = jacobian(self.null_test.model, self.null_test.theta, self.null_test.X0, self.test, self.sigma,
-                     self.null_test.Y, self.ranges)
-        return tuple(i for i in range(self.plant.sizes[0]) if np.max(np.abs(J.S[:, i])) * self.ranges[i] < 1e-6)
-
-    def _by_segment(self, fit: Fit) -> np.ndarray:
-        """Weighted sum of squares of every held-out segment; infinite where the simulation diverged."""
-        e = np.sum(((self.test.Y - fit.Y) / self.sigma) ** 2, axis=1)
-        sums = np.array([np.sum(e[a:b]) for a, b in self.test.segments[:, :2]])
-        return np.where(np.isfinite(sums), sums, np.inf)
 
 
 def tolerances(plant: Plant, free: Sequence[str], given: Mapping[str, float] | None) -> np.ndarray:

@@ -20,15 +20,17 @@ from pwaid.mismatch.model import Located, Model
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.screen import Screened, run_jobs, screen
 
-__all__ = ["fit_inner", "fit_members", "fit_pairs", "fit_swaps"]
+__all__ = ["fit_inner", "fit_members", "fit_pairs", "fit_reversed", "fit_swaps"]
 
 
 def fit_pairs(problem: Problem, singles: Sequence[Hypothesis], sound: Sequence[Hypothesis],
               located: Sequence[Located], jobs: int = 1, beam: int = 2, width: int = 2) -> list[Hypothesis]:
     """On top of the best singles, and of the best of those that physics does not forbid (`sound`), screen again and
-    fit the best seconds; then the best pair with other laws of the same ids and with the laws its laws contain."""
+    fit the best seconds and the other good singles; then the best pair with other laws of the same ids and with the
+    laws its laws contain."""
     pairs: list[Hypothesis] = []
     seen: set[frozenset] = set()
+    good = {h.located[0].key for h in _distinct(singles, 2 * beam)}
     for h in _distinct([*_distinct(singles, beam), *_distinct(sound, beam)], 2 * beam):
         others = [c for c in located if not _same_knob(c, h.located[0])]
         again = screen(problem, h.coarse, others, jobs)
@@ -36,7 +38,7 @@ def fit_pairs(problem: Problem, singles: Sequence[Hypothesis], sound: Sequence[H
         for s in again:
             key = frozenset(((h.ids[0], h.located[0].place.signal),
                              (s.located.effect.id, s.located.place.signal)))
-            if s.score > 0 and key not in seen and len(chosen) < width:
+            if s.score > 0 and key not in seen and (len(chosen) < width or s.located.key in good):
                 seen.add(key)
                 chosen.append(s)
         pairs += fit_shortlist(problem, chosen, jobs, base=h.coarse)
@@ -124,6 +126,29 @@ def fit_inner(problem: Problem, pairs: Sequence[Hypothesis], located: Sequence[L
             if inner:
                 found += fit_screened(problem, _alone(problem, pair, kept), inner, jobs)
     return found
+
+
+def fit_reversed(problem: Problem, pairs: Sequence[Hypothesis], jobs: int = 1, count: int = 3) -> list[Hypothesis]:
+    """The best pairs whose laws act on one signal, one after the other, in the other order: a reading that is clipped
+    and then drifts is another than one that drifts and is then clipped."""
+    fitted = {tuple(e.key for e in h.located) for h in pairs}
+    turned = [h for h in _distinct(pairs, count) if _in_series(*h.located)
+              and tuple(e.key for e in h.located[::-1]) not in fitted]
+
+    def refit(pair):
+        model, n, first = pair.coarse.model, pair.coarse.model.np, pair.located[0].size
+        parts = np.split(pair.coarse.theta, [n, n + first])
+        other = Model(problem.settings, pair.located[::-1], model.substeps)
+        coarse = fit_model(other, problem.coarse, problem.sigma, np.concatenate([parts[0], parts[2], parts[1]]),
+                           pair.coarse.X0, problem.ranges, 20, 3e-4)
+        return hypothesis_of(problem, on_whole(problem, coarse), pair.score, coarse)
+
+    return run_jobs(refit, turned, jobs)
+
+
+def _in_series(a: Located, b: Located) -> bool:
+    """Whether both laws act on the same input or the same output."""
+    return a.place.channel == b.place.channel and a.place.kind != "state"
 
 
 def _variants(problem, pair, singles, located, jobs):

@@ -25,6 +25,9 @@ class Thresholds:
     rival: float = 1.15  # error ratio within which a rival of another law is not excluded
     wins: float = 0.8  # share of block bootstraps the winner must win
     evidence: float = 50.0  # the held-out log-likelihood, residuals made white, must rise by this much
+    found: float = 0.1  # maps on top of the effect may find this share of the rise that they and it make together;
+    found_quiet: float = 0.5  # where noise is small beside what is left (see `quiet`), as much as a single law itself;
+    unfound: float = 0.01  # below it they find nothing, and what they seem to remove does not count
     near: float = 1.3  # held-out mean square after an effect, relative to the floor's, that needs no excuse; beyond it
     mapped: float = 0.3  # maps may remove no more than this share of the excess, held out,
     validated: float = 0.15  # (where they explain at least this share in blocks of training time left out,)
