@@ -12,8 +12,7 @@ from pwaid.mismatch.predictability import predictability
 from pwaid.mismatch.thresholds import Thresholds
 from pwaid.mismatch.vetoes import at_bound, outside
 
-__all__ = ["inadequate", "likelihood_gain", "over_floor", "predicted_rest",
-           "still_explained"]
+__all__ = ["inadequate", "likelihood_gain", "over_floor", "predicted_rest", "still_explained", "stretched"]
 
 
 def inadequate(problem: Problem, h: Hypothesis, t: Thresholds) -> str:
@@ -38,8 +37,7 @@ def inadequate(problem: Problem, h: Hypothesis, t: Thresholds) -> str:
                f"itself by {gain:.0f}"
     if np.all(left < t.near):
         return ""
-    reason = _stretched(problem, h, left, t) if np.any(left >= t.left) else ""
-    return reason or still_explained(problem, h, t, maps, abs(found) <= t.unfound)
+    return stretched(problem, h, t) or still_explained(problem, h, t, maps, abs(found) <= t.unfound)
 
 
 def _found(maps: Leftover, gain: float) -> float:
@@ -48,8 +46,11 @@ def _found(maps: Leftover, gain: float) -> float:
     return maps.evidence / (gain + max(maps.evidence, 0.0))
 
 
-def _stretched(problem: Problem, h: Hypothesis, left, t: Thresholds) -> str:
+def stretched(problem: Problem, h: Hypothesis, t: Thresholds) -> str:
     """What speaks against an effect that is not at the floor, from its parameters and its errors."""
+    left = over_floor(problem, h.test.Y, t)
+    if np.all(left < t.left):
+        return ""
     if at_bound(h):
         return f"{at_bound(h)[0]} went to its bound and the error is not at the floor"
     if outside(h, t.reach):

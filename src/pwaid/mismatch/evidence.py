@@ -10,6 +10,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pwaid.mismatch.adequacy import stretched
 from pwaid.mismatch.decide import at_floor
 from pwaid.mismatch.effects.base import Effect
 from pwaid.mismatch.hypotheses import (
@@ -123,11 +124,13 @@ def _errs(problem, null) -> bool:
 def _above_floor(problem, fitted, trifle: float = 0.0) -> bool:
     """Whether all of the fitted leave more than the floor and a trifle in training, or stand for other physics.
 
-    At the floor in training and far from it on held-out recordings, a law does, and so does one that has a veto.
+    At the floor in training and far from it on held-out recordings, a law does, and so does one that has a veto, or
+    that bends parameters beyond what they may be.
     """
     floor = floor_square(problem)
     reached = [h for h in fitted if h.train_error <= max(REACHED * floor, trifle)]
-    return not any(h.test_error <= max(CARRIED * floor, trifle) and not veto(problem, h) for h in reached)
+    return not any(h.test_error <= max(CARRIED * floor, trifle) and not veto(problem, h)
+                   and not stretched(problem, h, Thresholds()) for h in reached)
 
 
 def _short_of_floor(problem, null, fitted) -> bool:

@@ -26,11 +26,9 @@ __all__ = ["fit_inner", "fit_members", "fit_pairs", "fit_reversed", "fit_swaps"]
 def fit_pairs(problem: Problem, singles: Sequence[Hypothesis], sound: Sequence[Hypothesis],
               located: Sequence[Located], jobs: int = 1, beam: int = 2, width: int = 2) -> list[Hypothesis]:
     """On top of the best singles, and of the best of those that physics does not forbid (`sound`), screen again and
-    fit the best seconds and the other good singles; then the best pair with other laws of the same ids and with the
-    laws its laws contain."""
+    fit the best seconds; then the best pair with other laws of the same ids and with the laws its laws contain."""
     pairs: list[Hypothesis] = []
     seen: set[frozenset] = set()
-    good = {h.located[0].key for h in _distinct(singles, 2 * beam)}
     for h in _distinct([*_distinct(singles, beam), *_distinct(sound, beam)], 2 * beam):
         others = [c for c in located if not _same_knob(c, h.located[0])]
         again = screen(problem, h.coarse, others, jobs)
@@ -38,7 +36,7 @@ def fit_pairs(problem: Problem, singles: Sequence[Hypothesis], sound: Sequence[H
         for s in again:
             key = frozenset(((h.ids[0], h.located[0].place.signal),
                              (s.located.effect.id, s.located.place.signal)))
-            if s.score > 0 and key not in seen and (len(chosen) < width or s.located.key in good):
+            if s.score > 0 and key not in seen and len(chosen) < width:
                 seen.add(key)
                 chosen.append(s)
         pairs += fit_shortlist(problem, chosen, jobs, base=h.coarse)

@@ -37,7 +37,7 @@ EFFECTS = (
            "the same trajectory in both directions, at two speeds", dissipative=True,
            contains=("viscous_friction",)),
     Effect("quadratic_drag", "smooth_damping", "F = coefficient * v * |v|",
-           (Quantity("coefficient", "force/speed^2", 1e-4, 20.0, (0.05, 0.2, 0.6)),), drag,
+           (Quantity("coefficient", "force/speed^2", 1e-4, 1e3, (0.05, 0.2, 0.6)),), drag,
            lambda s: s.moving(),
            ("viscous_friction",), "a coast-down from high speed", dissipative=True),
 )
