@@ -33,8 +33,8 @@ __all__ = ["LambdaMax", "lambda_max"]
 # Bounds farther apart than this fraction are an error; between this and tol they are returned (see `width`).
 USELESS = 1e-2
 MAX_ITERATIONS = 60
-# Both bounds are computed once the products say that the width is below this many times tol.
-NEARLY = 100.0
+# Both bounds are computed once the products say that the width is below this many times tol, or nothing works any more.
+NEARLY = 10.0
 # Single precision may misplace λ by a percent; closer than this it would be left below its smallest value.
 COARSE = 0.1
 STEPS_WITHOUT_GAIN = 8
@@ -156,12 +156,12 @@ class _Bounds:
 
     def tighten(self, state: InteriorState, squares: np.ndarray) -> None:
         """Interior point iterations until the bounds are within tol or come no closer."""
-        ranges, idle = RANGES, 0
+        ranges, idle, last = RANGES, 0, None
         for _ in range(MAX_ITERATIONS):
             system = BorderedSystem(self.ops, state, self.held, squares, ranges)
             if not system.works:
                 break
-            ranges = system.ranges
+            ranges, last = system.ranges, system
             state = advance(BorderedDirection(system, state), QUICK).state
             remaining = 2 * state.nu.size * state.mu / state.lam
             self.ops.single = self.ops.single and remaining > COARSE
@@ -171,7 +171,9 @@ class _Bounds:
             self.see(state.v, state.nu, system.multipliers)
             idle = 0 if self.upper - self.lower < 0.99 * before else idle + 1
             if self.width <= self.tol or idle >= STEPS_WITHOUT_GAIN:
-                break
+                return
+        if last is not None and not np.isfinite(self.upper):
+            self.see(state.v, state.nu, last.multipliers)
 
     def see(self, v: np.ndarray, z: np.ndarray, multipliers: Callable[[np.ndarray], np.ndarray]) -> None:
         """The lower bound of v, and the upper bound of z once it fulfils Fᵀz = c.
@@ -194,5 +196,5 @@ class _Bounds:
             before, best = best, min(best, charge + most)
             if charge <= SLIGHT * max(self.tol, LEAST_TOL) * most:
                 self.upper = min(self.upper, charge + most)
-            if best > (1.0 - 0.01 * self.tol) * before:
+            if charge <= 0.01 * self.tol * most or best > (1.0 - 0.01 * self.tol) * before:
                 break
