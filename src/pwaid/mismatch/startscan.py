@@ -17,7 +17,7 @@ from pwaid.mismatch.fit import Fit, fit_starts, jacobian
 __all__ = ["best_starts", "scans", "unseen_directions"]
 
 SEEN = 1e-3  # of sigma: what a move by the whole range must change in the null's outputs, on the average
-COUNT, VALLEYS = 96, 4
+COUNT, SLOW_COUNT, VALLEYS = 96, 32, 4  # places of a scan, where simulations are slow, and starts taken from it
 
 
 def unseen_directions(problem) -> list[tuple[int, np.ndarray]]:
@@ -49,7 +49,7 @@ def scans(problem, fit: Fit, X0, data: Dataset) -> list[np.ndarray]:
     """Start states (segments, nx) at the deepest valleys of a scan along each unseen direction."""
     found, s = [], problem.structure
     for i, d in problem.unseen if fit.model.located else ():
-        values = np.linspace(s.low[i], s.high[i], COUNT)
+        values = np.linspace(s.low[i], s.high[i], COUNT if problem.plant.rhs is not None else SLOW_COUNT)
         trials = X0 + (values[:, None] - X0[:, i])[:, :, None] * d
         runs = [fit.model.simulate(fit.theta, x, data) for x in trials]
         sums = np.array([_by_segment(problem, replace(fit, Y=Y, X=X), data) for Y, X in runs])
