@@ -92,8 +92,7 @@ def fit_members(problem: Problem, pairs: Sequence[Hypothesis], singles: Sequence
     known = {h.located[0].key: h for h in singles}
     starts = {}
     for pair in pairs[:count]:
-        first = pair.coarse.model.np
-        parts = np.split(pair.coarse.theta, [first, first + pair.located[0].size])
+        parts = _parts(pair)
         for e, z in zip(pair.located, parts[1:], strict=True):
             rival = known.get(e.key)
             if rival is None or pair.train_error < 0.8 * rival.train_error:
@@ -102,9 +101,8 @@ def fit_members(problem: Problem, pairs: Sequence[Hypothesis], singles: Sequence
 
     def refit(item):
         e, theta, X0, substeps = item
-        model = Model(problem.settings, (e,), substeps)
-        coarse = fit_model(model, problem.coarse, problem.sigma, theta, X0, problem.ranges, 20, 3e-4)
-        return hypothesis_of(problem, on_whole(problem, coarse), known[e.key].score if e.key in known else 0.0, coarse)
+        score = known[e.key].score if e.key in known else 0.0
+        return _refitted(problem, Model(problem.settings, (e,), substeps), theta, X0, score)
 
     for h in run_jobs(refit, starts.values(), jobs):
         rival = known.get(h.located[0].key)
@@ -134,14 +132,23 @@ def fit_reversed(problem: Problem, pairs: Sequence[Hypothesis], jobs: int = 1, c
               and tuple(e.key for e in h.located[::-1]) not in fitted]
 
     def refit(pair):
-        model, n, first = pair.coarse.model, pair.coarse.model.np, pair.located[0].size
-        parts = np.split(pair.coarse.theta, [n, n + first])
-        other = Model(problem.settings, pair.located[::-1], model.substeps)
-        coarse = fit_model(other, problem.coarse, problem.sigma, np.concatenate([parts[0], parts[2], parts[1]]),
-                           pair.coarse.X0, problem.ranges, 20, 3e-4)
-        return hypothesis_of(problem, on_whole(problem, coarse), pair.score, coarse)
+        nominal, first, second = _parts(pair)
+        other = Model(problem.settings, pair.located[::-1], pair.coarse.model.substeps)
+        return _refitted(problem, other, np.concatenate([nominal, second, first]), pair.coarse.X0, pair.score)
 
     return run_jobs(refit, turned, jobs)
+
+
+def _parts(pair: Hypothesis) -> list[np.ndarray]:
+    """Nominal parameters, those of the first law, and those of the second, as the pair's fit to segments left them."""
+    n = pair.coarse.model.np
+    return np.split(pair.coarse.theta, [n, n + pair.located[0].size])
+
+
+def _refitted(problem: Problem, model: Model, theta, X0, score: float) -> Hypothesis:
+    """The hypothesis that a fit from these parameters and start states ends at."""
+    coarse = fit_model(model, problem.coarse, problem.sigma, theta, X0, problem.ranges, 20, 3e-4)
+    return hypothesis_of(problem, on_whole(problem, coarse), score, coarse)
 
 
 def _in_series(a: Located, b: Located) -> bool:

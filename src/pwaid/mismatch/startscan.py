@@ -6,8 +6,6 @@ the difference may be seen and the mean not. Along such a direction the error ha
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from scipy.linalg import qr
 
@@ -51,8 +49,7 @@ def scans(problem, fit: Fit, X0, data: Dataset) -> list[np.ndarray]:
     for i, d in problem.unseen if fit.model.located else ():
         values = np.linspace(s.low[i], s.high[i], COUNT if problem.plant.rhs is not None else SLOW_COUNT)
         trials = X0 + (values[:, None] - X0[:, i])[:, :, None] * d
-        runs = [fit.model.simulate(fit.theta, x, data) for x in trials]
-        sums = np.array([_by_segment(problem, replace(fit, Y=Y, X=X), data) for Y, X in runs])
+        sums = np.array([_by_segment(problem, fit.model.simulate(fit.theta, x, data)[0], data) for x in trials])
         padded = np.pad(sums, ((1, 1), (0, 0)), constant_values=np.inf)
         valley = np.where((sums <= padded[:-2]) & (sums <= padded[2:]), sums, np.inf)
         found += [trials[row, np.arange(len(X0))] for row in np.argsort(valley, axis=0)[:VALLEYS]]
@@ -63,15 +60,15 @@ def best_starts(problem, fit: Fit, best: Fit, options, data: Dataset) -> Fit:
     """`best`, with the start states of each segment replaced by those fitted from an option where they err less."""
     for X0 in options:
         other = fit_starts(fit.model, data, problem.sigma, fit.theta, X0, problem.ranges)
-        better = _by_segment(problem, other, data) < _by_segment(problem, best, data)
+        better = _by_segment(problem, other.Y, data) < _by_segment(problem, best.Y, data)
         if better.any():
             best = fit_starts(fit.model, data, problem.sigma, fit.theta,
                               np.where(better[:, None], other.X0, best.X0), problem.ranges)
     return best
 
 
-def _by_segment(problem, fit: Fit, data: Dataset) -> np.ndarray:
+def _by_segment(problem, Y, data: Dataset) -> np.ndarray:
     """Weighted sum of squares of every segment; infinite where the simulation diverged."""
-    e = np.sum(((data.Y - fit.Y) / problem.sigma) ** 2, axis=1)
+    e = np.sum(((data.Y - Y) / problem.sigma) ** 2, axis=1)
     sums = np.array([np.sum(e[a:b]) for a, b in data.segments[:, :2]])
     return np.where(np.isfinite(sums), sums, np.inf)
