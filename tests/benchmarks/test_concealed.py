@@ -7,6 +7,7 @@ import argparse
 import importlib.util
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ import pytest
 sys.path.insert(0, str(Path(__file__).resolve().parents[2] / "examples" / "benchmarks"))
 
 from concealed import case as building
-from concealed import classes, generate, vector, write
+from concealed import classes, clutter, generate, vector, write
 from concealed.catalogue import FAMILY, IDS
 from concealed.integrate import simulate
 from concealed.plants import PLANTS
@@ -197,3 +198,24 @@ def test_every_effect_has_a_plant_and_a_family():
     for effect in IDS:
         assert any(effect in plant.effects for plant in PLANTS.values()), effect
     assert all(e in FAMILY for plant in PLANTS.values() for e in plant.effects)
+
+
+def test_clutter_stays_small_beside_an_effect_that_drives_the_axis_far():
+    """An arm under a load turns away from its cubic spring's rest: the spring did 38 times what it does alone."""
+    case = classes.generate("pair", "rich", 12, 90392)
+    assert [e for e, _ in case.recipe.effects] == ["sensor_saturation", "constant_load"]
+    slots = case.facts["clutter"]
+    effects_alone = replace(case, e=clutter.applied(case.e, clutter.scaled(slots, -1.0)))
+    base = vector.neutral(**case.plant.switches)
+    grown = building._growth(effects_alone, base, slots)
+    assert grown > 20.0
+    assert 0.0 < slots["stiffness_3"] * grown / building.LARGEST_GROWTH < 1e-3  # 6.5e-4 alone is 0.3 of the noise
+
+
+def test_the_clutters_curved_sensor_is_the_effects_own():
+    scene = type("Scene", (), {"plant": PLANTS["hydraulic_cylinder"], "force": 1.0, "v_rms": 1.0, "q_max": 1.0,
+                               "y_max": np.array([0.1, 1e6])})()
+    slots = [clutter.draw(scene, np.random.default_rng(s), 0.02, (), channel) for s in range(8) for channel in (0, 1)]
+    first, second = ([s["sensor_cubic"] for s in slots[k::2] if "sensor_cubic" in s] for k in (0, 1))
+    assert first and min(first) > 0.3
+    assert second and max(second) < 2e-14

@@ -14,6 +14,7 @@ from concealed.plants import PLANTS
 from concealed.refit import refit
 
 NSUB = 24
+LARGEST_GROWTH = 2.0  # of what clutter does beside the effects, over what it does alone
 QUIET_CLUTTER = 0.3  # largest clutter in cells without disturbance, in units of the sensor noise
 LOUD_CLUTTER = 1.0
 
@@ -284,7 +285,10 @@ def _add_clutter(case, scene, base, rng):
     """Add small effects and shrink them until they leave no more than the stated size after a refit."""
     loud = case.recipe.disturbance > 0.0
     taken = {n for d in case.drawn for n in d.slots}
-    slots = clutter.draw(scene, rng, 0.05 if loud else 0.02, taken)
+    channel = vector.INDEX["sensor_channel"]  # a sensor's effect says which sensor has the clutter's curvature too
+    base = base.copy()
+    base[channel] = case.e[channel]
+    slots = clutter.draw(scene, rng, 0.05 if loud else 0.02, taken, int(case.e[channel]))
     limit = LOUD_CLUTTER if loud else QUIET_CLUTTER
     if case.recipe.beyond:
         limit = 0.1
@@ -301,9 +305,25 @@ def _add_clutter(case, scene, base, rng):
         if size <= limit:
             break
         slots = clutter.scaled(slots, 0.8 * limit / size)
+    slots = clutter.scaled(slots, min(1.0, LARGEST_GROWTH / _growth(case, base, slots)))
     case.facts["clutter"] = slots
     case.facts["clutter_ratio"] = size
     case.e = clutter.applied(case.e, slots)
+
+
+def _growth(case, base, slots):
+    """How much more the clutter does beside the effects than alone: an axis that a load drives far off meets more of a
+    cubic spring."""
+    def does(e):
+        changes = []
+        for rec in case.recordings:
+            still = replace(rec, drift=None)
+            y, other = (_run(case.plant, case.p, some, still, case.measured, case.recipe.hold)[2]
+                        for some in (e, clutter.applied(e, slots)))
+            changes.append(np.clip(np.nan_to_num((other - y) / case.sigma, nan=1e4), -1e4, 1e4))
+        return float(np.sqrt(np.mean(np.concatenate(changes) ** 2)))
+
+    return does(case.e) / max(does(base), 1e-9)
 
 
 def _record(case, rng):

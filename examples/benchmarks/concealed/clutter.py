@@ -12,8 +12,8 @@ IDS = {"drag": "quadratic_drag", "stiffness_3": "cubic_stiffness", "gain_asymmet
        "lag": "actuator_lag", "sensor_cubic": "sensor_nonlinearity", "leak": "leakage", "radiation": "radiation"}
 
 
-def draw(scene, rng, strength, taken):
-    """Slots of two or three small effects; none of the slots in `taken`.
+def draw(scene, rng, strength, taken, channel=0):
+    """Slots of two or three small effects; none of the slots in `taken`. `channel`: the output that is curved.
 
     Parameters
     ----------
@@ -29,7 +29,7 @@ def draw(scene, rng, strength, taken):
     if min(plant.bias) == 0.0:
         pool["gain_asymmetry"] = strength
     pool["lag"] = 0.15 / (2.0 * np.pi * plant.band[1])
-    pool["sensor_cubic"] = 0.01 / scene.y_max[0] ** 2
+    pool["sensor_cubic"] = 0.01 / scene.y_max[channel] ** 2
     if plant.name in ("single_tank", "cascaded_tanks"):
         pool["leak"] = strength * scene.p[plant.index("gain")] * scene.u_mean / scene.x_mean[0]
     if plant.name == "thermal_plant":

@@ -43,7 +43,7 @@ def judge(case, entry, report, families):
     accepted = [{t["id"], *t["equivalents"]} for t in truths]
     kin = [{families.get(i, "") for i in a} for a in accepted]
     named_families = {families.get(i, "") for i in ids}
-    small = len(ids) <= LARGEST_SET
+    small = len(set(ids)) <= LARGEST_SET
     out.facts = {
         "named": bool(ids),
         "failed": verdict == "failed",
