@@ -164,9 +164,10 @@ def test_stribeck_gravity_and_bouc_wen_give_the_same_force():
     assert law[1] / p[0] == pytest.approx(gain[1], rel=1e-9)
 
 
-def test_the_bouc_wen_variable_is_scaled_by_its_yield():
+@pytest.mark.parametrize("order", [1.0, 2.0])
+def test_the_bouc_wen_variable_is_scaled_by_its_yield(order):
     d, truth, entry, p, plant = drawn("hysteretic_spring", "mass_spring_damper")
-    slots = d.slots | {"bouc_order": 2.0}
+    slots = d.slots | {"bouc_order": order}
     e = vector.with_values(vector.neutral(**plant.switches), slots)
     q = expected(truth, entry)
     for v, z in ((0.3, 0.6), (-0.3, 0.6), (0.3, -0.2)):
@@ -174,7 +175,7 @@ def test_the_bouc_wen_variable_is_scaled_by_its_yield():
         x[1], x[2 + vector.BOUC] = v, z * slots["bouc_yield"]
         true = truth_rates(plant, p, e, x)
         law = catalogue_force(position.bouc_wen, [0.0, v, z], [2, 1, 1, -1, 1, 0, *II[6:]],
-                              [q["force"], q["yield_displacement"]])
+                              [q["force"], q["yield_displacement"], order])
         assert true[2 + vector.BOUC] == pytest.approx(law[2] * slots["bouc_yield"], rel=1e-9)
         assert true[1] * p[0] + p[1] * v == pytest.approx(law[1], rel=1e-9)
 

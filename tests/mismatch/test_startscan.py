@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import control
 import numpy as np
 import pytest
 
 from pwaid.mismatch.effects.registry import effect_by_id
 from pwaid.mismatch.explain import collect
+from pwaid.mismatch.hypotheses import mean_square
+from pwaid.mismatch.vetoes import veto
 from pwaid.recording import Recording
 
 PERIOD, LEVEL, WAVE = 0.02, 0.35, 9.0
@@ -36,7 +40,7 @@ def plant(rhs, output):
                          params={"J": 1.0, "b": 0.6, "k": 40.0} if rhs is two_rotors else {"J": 1.0, "b": 0.6})
 
 
-def recording(seed: int, rhs, output, ripple: float = 0.0, samples: int = 700):
+def recording(seed: int, rhs, output, ripple: float = 0.0, samples: int = 700, load: float = 0.0):
     """A multisine that starts anywhere on the ripple, in steps of 1 ms, with 1 % of noise."""
     rng = np.random.default_rng(seed)
     t = np.arange(samples) * PERIOD
@@ -47,7 +51,7 @@ def recording(seed: int, rhs, output, ripple: float = 0.0, samples: int = 700):
         y[k] = output(t[k], x, u[k:k + 1], params)[0]
         for _ in range(20):
             d = rhs(t[k], x, u[k:k + 1], params)
-            d[1] += ripple * np.sin(WAVE * x[0]) / params["J"]
+            d[1] += (ripple * np.sin(WAVE * x[0]) + load) / params["J"]
             x = x + PERIOD / 20 * d
     y += 0.01 * np.std(y) * rng.normal(size=samples)
     return Recording(t, u[:, None], y[:, None], ("T",), ("y",),
@@ -76,3 +80,22 @@ def test_a_ripple_is_found_where_the_position_is_not_measured(rhs):
     best = evidence_of(rhs, speed, "position_ripple", ripple=LEVEL).singles[0]
     assert best.share > 0.99
     assert best.values()[0][:2] == pytest.approx([LEVEL, WAVE], rel=0.03)
+
+
+def test_a_start_that_a_fit_has_lost_is_found_again():
+    evidence = evidence_of(rotor, speed, "position_ripple", ripple=LEVEL)
+    best, problem = evidence.singles[0], evidence.problem
+    X0 = best.fit.X0.copy()
+    X0[0, 0] += 2.5 / WAVE
+    Y, X = best.fit.model.simulate(best.fit.theta, X0, problem.train)
+    lost = replace(best.fit, X0=X0, Y=Y, X=X)
+    assert mean_square(problem, lost, problem.train) > 2 * best.train_error
+    assert mean_square(problem, problem.restarted(lost), problem.train) < 1.01 * best.train_error
+
+
+def test_a_spring_that_stands_in_for_a_load_where_nothing_measures_the_position():
+    far = evidence_of(rotor, speed, "linear_stiffness", load=0.5)
+    assert far.singles[0].share > 0.9
+    assert veto(far.problem, far.singles[0]) == "its force is as good as constant: a load"
+    near = evidence_of(rotor, speed, "linear_stiffness", ripple=LEVEL)
+    assert all("load" not in veto(near.problem, h) for h in near.singles)

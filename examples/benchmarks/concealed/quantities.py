@@ -101,7 +101,7 @@ def _asymmetric_viscous(v, entry, match):
 
 
 def _hysteretic(v, entry, match):
-    return {"force": v["stiffness"] * v["yield"], "yield_displacement": v["yield"]}
+    return {"force": v["stiffness"] * v["yield"], "yield_displacement": v["yield"], "order": v["order"]}
 
 
 def _compliance(v, entry, match):
@@ -141,7 +141,9 @@ def _head(v, entry, match):
 
 
 def _outflow(v, entry, match):
-    """k·sqrt(reference·h) = c·sqrt(h): the coefficient c of the tank that the report speaks of."""
+    """k·sqrt(reference·h) = c·sqrt(h): the coefficient c of the tank, or of both tanks, that the report speaks of."""
+    if "second_reference" in match.get("parameters", {}):
+        return {"outlet": v["coefficient_1"], "second_outlet": v["coefficient_2"]}
     upper = match.get("where", {}).get("signal") == "h1"
     return {"outlet": v["coefficient" if "coefficient" in v else "coefficient_1" if upper else "coefficient_2"]}
 
@@ -196,14 +198,16 @@ def _magnitude(match, report):
 
 
 def _outlet(match, report):
-    """The outlet coefficient from the refitted linear one and the reference level."""
+    """The outlet coefficients from the refitted linear ones and the reference levels."""
     signal = match.get("where", {}).get("signal")
-    name = {"h": "c", "h1": "c1", "h2": "c2"}.get(signal)
-    linear = report.get("parameters", {}).get(name, {}).get("refitted")
-    reference = match.get("parameters", {}).get("reference", {}).get("value")
-    if linear is None or reference is None or reference < 0.0:
-        return {}
-    return {"outlet": {"value": linear * math.sqrt(reference)}}
+    found, got = {}, match.get("parameters", {})
+    for outlet, of, name in (("outlet", "reference", {"h": "c", "h1": "c1", "h2": "c2"}.get(signal)),
+                             ("second_outlet", "second_reference", "c2")):
+        linear = report.get("parameters", {}).get(name, {}).get("refitted")
+        reference = got.get(of, {}).get("value")
+        if linear is not None and reference is not None and reference >= 0.0:
+            found[outlet] = {"value": linear * math.sqrt(reference)}
+    return found
 
 
 def _amplitude(match, report):

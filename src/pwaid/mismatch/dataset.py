@@ -84,6 +84,12 @@ class Dataset:
                        np.ascontiguousarray(self.Y[keep]), np.array(rows, dtype=np.int64), self.sample_time,
                        tuple(self.before[i] for i in which) if self.before else ())
 
+    def and_also(self, other: Dataset) -> Dataset:
+        """This data set and another of the same channels and sampling, as one."""
+        behind = other.segments + len(self.U)
+        return Dataset(self.names + other.names, np.vstack([self.U, other.U]), np.vstack([self.Y, other.Y]),
+                       np.vstack([self.segments, behind]), self.sample_time, self.before + other.before)
+
     def without_start(self, samples: int) -> Dataset:
         """The first samples of every recording left out of the comparison; their inputs are kept as `before`."""
         rec = self.recordings

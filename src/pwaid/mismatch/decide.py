@@ -100,8 +100,12 @@ def decide(problem: Problem, null: Hypothesis, singles: Sequence[Hypothesis], pa
     reasons: list[str] = []
     share = t.share if problem.floor.trusted else t.share_tentative
     if at_floor(problem, t):
-        reasons.append("the refitted simulator is at the noise floor on the held-out recordings")
-        return Decision(_agreement_or_parameters(problem, t), null, (), (), tuple(reasons))
+        if _is_floor(problem, problem.test, problem.null_test.Y, t):
+            reasons.append("the refitted simulator is at the noise floor on the held-out recordings")
+            return Decision(_agreement_or_parameters(problem, t), null, (), (), tuple(reasons))
+        reasons.append("refitted to all recordings at once, the simulator is at the noise floor on each: the training "
+                       "recordings alone do not determine its parameters")
+        return Decision("parameters_only", null, (), (), tuple(reasons))
     passed, refused = _judge(problem, [h for h in singles if _passes(problem, h, null, share)], t, reasons)
     passed_pairs, more = _judge(problem, _passing_pairs(problem, null, singles, pairs, share, t), t, reasons)
     passed = _not_outdone(passed, [*refused, *more], t, reasons)
@@ -166,10 +170,24 @@ def _not_outdone(kept, refused, t, reasons):
 
 
 def at_floor(problem, t) -> bool:
-    """Nothing material: every output's error is at the floor, or a trifle of the output itself, in training too."""
+    """Nothing material: every output's error is at the floor, or a trifle of the output itself, in training too.
+
+    Where training is there and the held-out recordings are not, parameters that training hardly determines may be off:
+    then it counts whether parameters fitted to all recordings at once leave no more than the floor in either part.
+    """
+    if not _is_floor(problem, problem.train, problem.null.Y, t):
+        return False
+    return _is_floor(problem, problem.test, problem.null_test.Y, t) or _together_at_floor(problem, t)
+
+
+def _together_at_floor(problem, t) -> bool:
+    both, n = problem.together.Y, len(problem.train.Y)
+    return _is_floor(problem, problem.train, both[:n], t) and _is_floor(problem, problem.test, both[n:], t)
+
+
+def _is_floor(problem, data, Y, t) -> bool:
     floor = np.maximum(problem.floor.level, t.trifle * np.std(problem.train.Y, axis=0)) ** 2
-    return all(np.all(np.mean((data.Y - fit.Y) ** 2, axis=0) < t.material * floor)
-               for data, fit in ((problem.test, problem.null_test), (problem.train, problem.null)))
+    return bool(np.all(np.mean((data.Y - Y) ** 2, axis=0) < t.material * floor))
 
 
 def _unrelated(problem, t) -> bool:

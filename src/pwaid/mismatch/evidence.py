@@ -23,7 +23,7 @@ from pwaid.mismatch.hypotheses import (
     on_whole,
 )
 from pwaid.mismatch.nullfit import Problem
-from pwaid.mismatch.pairs import fit_inner, fit_members, fit_pairs, fit_reversed, fit_swaps
+from pwaid.mismatch.pairs import fit_inner, fit_joint, fit_members, fit_pairs, fit_reversed, fit_swaps
 from pwaid.mismatch.screen import Screened, locate_effects, overlooked, run_jobs, screen, shortlist
 from pwaid.mismatch.thresholds import Thresholds
 from pwaid.mismatch.vetoes import veto
@@ -86,7 +86,9 @@ def gather(problem: Problem, catalogue: Sequence[Effect], notes: Sequence[str] =
 def _pairs(problem, null, singles, located, jobs):
     """The singles, refitted from good pairs, and the pairs; best first."""
     cheap = len(problem.train.U) * problem.settings.substeps < 5000
-    pairs = fit_pairs(problem, singles, _sound(problem, singles), located, jobs, width=4 if cheap else 2)
+    pairs = fit_joint(problem, located, jobs) if problem.plant.rhs is not None else []  # too long in Python
+    pairs = _sorted([*pairs, *fit_pairs(problem, singles, _sound(problem, singles), located, jobs,
+                                        width=4 if cheap else 2)])
     if pairs and _short_of_floor(problem, null, pairs):
         pairs += fit_swaps(problem, _sound(problem, pairs), located, jobs)
     pairs = _sorted(pairs)

@@ -14,6 +14,8 @@ from pwaid.mismatch.model import Located, Model
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.screen import Screened, run_jobs, screen
 
+AT_FLOOR = 1.1  # times the floor's mean square: a fit below it has lost no start state
+
 __all__ = ["Hypothesis", "fit_contained", "fit_screened", "fit_shortlist", "floor_square", "hypothesis_of",
            "inner_laws", "mean_square", "null_hypothesis", "on_whole", "share", "without"]
 
@@ -137,11 +139,20 @@ def _finish(problem: Problem, base: Fit, trials: Sequence[Fit], iterations: int 
 
 
 def on_whole(problem: Problem, coarse: Fit, iterations: int = 20) -> Fit:
-    """The fit on the training recordings as they are judged, from the one on segments."""
+    """The fit on the training recordings as they are judged, from the one on segments.
+
+    Where it is not at the floor, a start state may have been lost on the way: other starts are tried.
+    """
     if problem.coarse.segments.shape == problem.train.segments.shape:
         return coarse
     X0 = coarse.X0[np.searchsorted(problem.coarse.segments[:, 0], problem.train.segments[:, 0])]
-    return fit_model(coarse.model, problem.train, problem.sigma, coarse.theta, X0, problem.ranges, iterations, 3e-4)
+    fit = fit_model(coarse.model, problem.train, problem.sigma, coarse.theta, X0, problem.ranges, iterations, 3e-4)
+    if mean_square(problem, fit, problem.train) < AT_FLOOR * floor_square(problem):
+        return fit
+    again = problem.restarted(fit)
+    if again is fit:
+        return fit
+    return fit_model(again.model, problem.train, problem.sigma, again.theta, again.X0, problem.ranges, iterations, 3e-4)
 
 
 def _resolved(problem: Problem, fit: Fit, most: int = 8) -> Model:

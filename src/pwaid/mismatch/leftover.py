@@ -21,7 +21,7 @@ from pwaid.mismatch.fit import Fit, jacobian, weighted
 from pwaid.mismatch.model import Located, Model
 from pwaid.mismatch.noise import NoiseModel, fit_noise
 from pwaid.mismatch.nullfit import Problem
-from pwaid.mismatch.screen import StartsOut
+from pwaid.mismatch.signatures import StartsOut
 
 __all__ = ["Leftover", "leftover"]
 

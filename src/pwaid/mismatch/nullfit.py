@@ -68,6 +68,21 @@ class Problem:
             return fit
         return best_starts(self, fit, fit, scans(self, fit, fit.X0, self.coarse), self.coarse)
 
+    def restarted(self, fit: Fit) -> Fit:
+        """A fit to `train`, with better start states where another start of theirs leads to some: the null's, the
+        measured ones, and a scan of those that the null does not see. As it came where simulations are slow."""
+        if self.plant.rhs is None:
+            return fit
+        options = [self.null.X0] if self.null.X0.shape == fit.X0.shape else []
+        options.append(first_states(self.plant, self.structure.start_map, self.train))
+        return best_starts(self, fit, fit, [*options, *scans(self, fit, fit.X0, self.train)], self.train)
+
+    @cached_property
+    def together(self) -> Fit:
+        """The null refitted to the training and the held-out recordings at once, the latter behind the former."""
+        both, X0 = self.train.and_also(self.test), np.vstack([self.null.X0, self.null_test.X0])
+        return fit_model(self.null.model, both, self.sigma, self.null.theta, X0, self.ranges, 20)
+
     @cached_property
     def unseen(self) -> list[tuple[int, np.ndarray]]:
         """Directions of the start state that the null's outputs do not depend on."""

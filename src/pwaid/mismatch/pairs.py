@@ -1,4 +1,5 @@
-"""Pairs of laws: on top of the best single ones, with laws exchanged, and with the laws that their laws contain."""
+"""Pairs of laws: those that two signatures together suggest, on top of the best single ones, with laws exchanged, and
+with the laws that their laws contain."""
 
 from __future__ import annotations
 
@@ -18,9 +19,28 @@ from pwaid.mismatch.hypotheses import (
 )
 from pwaid.mismatch.model import Located, Model
 from pwaid.mismatch.nullfit import Problem
+from pwaid.mismatch.pairscreen import screen_pairs
 from pwaid.mismatch.screen import Screened, run_jobs, screen
 
-__all__ = ["fit_inner", "fit_members", "fit_pairs", "fit_reversed", "fit_swaps"]
+STRANDED = 3.0  # times the training error of the best pair
+
+__all__ = ["fit_inner", "fit_joint", "fit_members", "fit_pairs", "fit_reversed", "fit_swaps"]
+
+
+def fit_joint(problem: Problem, located: Sequence[Located], jobs: int = 1, count: int = 4) -> list[Hypothesis]:
+    """The pairs whose signatures together explain most of what the null leaves, each fitted from both."""
+    null, found = problem.null_coarse, []
+
+    def allowed(a, b):
+        return not _same_knob(a, b)
+
+    for pair in screen_pairs(problem, null, located, count, jobs, allowed):
+        (first, second), (z, start) = pair.located, pair.starts
+        model = Model(problem.settings, (*null.model.located, first))
+        theta = np.concatenate([null.theta, z])
+        base = Fit(model, theta, null.X0, np.inf, *model.simulate(theta, null.X0, problem.coarse), 0)
+        found += fit_shortlist(problem, [Screened(second, pair.score, (start,), 1.0)], jobs, base=base)
+    return found
 
 
 def fit_pairs(problem: Problem, singles: Sequence[Hypothesis], sound: Sequence[Hypothesis],
@@ -49,9 +69,10 @@ def fit_pairs(problem: Problem, singles: Sequence[Hypothesis], sound: Sequence[H
 def fit_swaps(problem: Problem, pairs: Sequence[Hypothesis], located: Sequence[Located], jobs: int = 1,
               width: int = 3, rounds: int = 2) -> list[Hypothesis]:
     """The best pair with each of its laws in turn replaced, and again while that helps: what its other law and its
-    parameters leave is screened again. A wrong partner bends a right law less than the null bends either."""
-    seen, found = {frozenset(e.key for e in h.located) for h in pairs}, []
-    best = pairs[0]
+    parameters leave is screened again. A wrong partner bends a right law less than the null bends either. Pairs that
+    leave far more than the best one may have been stranded, so they are tried again from there."""
+    best, found = pairs[0], []
+    seen = {frozenset(e.key for e in h.located) for h in pairs if h.train_error < STRANDED * best.train_error}
     for _ in range(rounds):
         new = [h for e in best.located for h in _partners(problem, best, e, located, seen, jobs, width)]
         found += new

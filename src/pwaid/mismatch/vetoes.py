@@ -15,6 +15,9 @@ _LOOSE = ("stiffness", "contact_frequency", "damping", "phase", "share", "ambien
 # A stop ends a motion. What gives way by this share of half the travel, this share of the time, is a spring.
 _YIELDING, _PRESSED = 1 / 3, 0.1
 
+# A spring whose force varies by less than this share of its mean, at a position that nothing measures, is a load.
+_SPRINGS, _CONSTANT = {"linear_stiffness": 1, "quadratic_stiffness": 2, "cubic_stiffness": 3}, 0.1
+
 # A clipped reading passes its limit by noise, at most by this share of what it would pass it by unclipped.
 _SOFT = 0.03
 
@@ -58,6 +61,8 @@ def veto(problem: Problem, h: Hypothesis) -> str:
         sizes = [(q, v) for q, v in zip(e.effect.quantities, z, strict=True) if _is_size(e, q)]
         if sizes and all(v <= np.log(q.low) + 0.05 for q, v in sizes):
             return f"{' and '.join(q.name for q, _ in sizes)} went to zero"
+        if e.effect.id in _SPRINGS and _holds(problem, h, e):
+            return "its force is as good as constant: a load"
         if e.effect.id == "position_ripple" and z[1] <= np.log(e.effect.quantities[1].low) + 1e-3:
             return "its period is as long as the stroke: no ripple"
         if e.effect.id == "sensor_saturation" and _beyond(problem, h, e, values[0]):
@@ -71,6 +76,15 @@ def veto(problem: Problem, h: Hypothesis) -> str:
             if top >= 0.9995 and first.high <= 1.0:
                 return "the limit lies outside the visited range"
     return ""
+
+
+def _holds(problem: Problem, h: Hypothesis, located) -> bool:
+    """Whether the position is not measured, and was put so far from the spring's rest that its force hardly varies."""
+    k = located.place.ii[5]
+    if k in problem.structure.output_state:
+        return False
+    force = np.concatenate([h.fit.X[:, k], h.test.X[:, k]]) ** _SPRINGS[located.effect.id]
+    return bool(np.std(force) < _CONSTANT * abs(np.mean(force)))
 
 
 def _past(x, edge: float, side: int) -> np.ndarray:

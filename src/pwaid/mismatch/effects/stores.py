@@ -15,6 +15,13 @@ def root_outflow(phase, t, h, x, xs, u, p, dx, ii, q):
         xs[ii[4]] = sqrt(q[0] * max(x[ii[4]], 0.0))
 
 
+def two_root_outflows(phase, t, h, x, xs, u, p, dx, ii, q):
+    """The linear outflows k*x of two stores become k*sqrt(reference*x), each with its own reference."""
+    if phase == 1:
+        xs[ii[4]] = sqrt(q[0] * max(x[ii[4]], 0.0))
+        xs[ii[6]] = sqrt(q[1] * max(x[ii[6]], 0.0))
+
+
 def head_offset(phase, t, h, x, xs, u, p, dx, ii, q):
     """The outflow sees the level plus an offset; an empty store gives nothing more."""
     if phase == 1:
@@ -89,6 +96,10 @@ EFFECTS = (
            (Quantity("reference", "position", 0.05, 5.0, (0.3, 1.0)),), root_outflow,
            lambda s: s.stores("fluid"),
            ("head_offset", "leakage"), "drain over the full range of levels"),
+    Effect("square_root_outflow", "fluid", "both outflows = k*sqrt(reference*h) instead of k*h",
+           (Quantity("reference", "position", 0.05, 5.0, (0.3, 1.0)),
+            Quantity("second_reference", "position", 0.05, 5.0, (0.3, 1.0))), two_root_outflows,
+           lambda s: s.cascades("fluid"), ("head_offset", "leakage"), "drain over the full range of levels"),
     Effect("head_offset", "fluid", "outflow sees h + offset",
            (Quantity("offset", "position", -0.5, 2.0, (0.05, 0.25), log=False),), head_offset,
            lambda s: s.stores("fluid"), ("square_root_outflow", "leakage", "sensor_offset"),

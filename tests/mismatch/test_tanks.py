@@ -1,0 +1,52 @@
+"""Two tanks that both drain by Torricelli's law, with a simulator that is linear in both levels."""
+
+from __future__ import annotations
+
+import control
+import numpy as np
+import pytest
+
+from pwaid.mismatch.decide import decide
+from pwaid.mismatch.effects.registry import effect_by_id
+from pwaid.mismatch.explain import collect
+from pwaid.recording import Recording
+
+AREA, GAIN, OUT, PERIOD = 0.012, 2e-5, (2.2e-4, 2.0e-4), 1.5
+
+
+def linear(t, x, u, params):
+    upper, lower = params["c1"] * x[0], params["c2"] * x[1]
+    return np.array([(params["gain"] * u[0] - upper) / params["area"], (upper - lower) / params["area"]])
+
+
+def lower_level(t, x, u, params):
+    return np.array([x[1]])
+
+
+def recording(seed: int) -> Recording:
+    """Steps of the pump, exact in steps of 0.075 s, 1 mm of noise."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(2.5, 6.5, 12), 60)
+    x, y = np.array([0.2, 0.2]), np.empty((u.size, 1))
+    for k in range(u.size):
+        y[k] = x[1]
+        for _ in range(20):
+            out = np.array(OUT) * np.sqrt(np.maximum(x, 0.0))
+            x = x + PERIOD / 20 * np.array([GAIN * u[k] - out[0], out[0] - out[1]]) / AREA
+    return Recording(PERIOD * np.arange(u.size), u[:, None], y + 1e-3 * rng.normal(size=y.shape), ("pump",), ("h2_m",),
+                     {"pump": "V", "h2_m": "m"}, name=f"r{seed}.csv")
+
+
+def test_both_outflows_are_one_law():
+    plant = control.nlsys(linear, lower_level, inputs=["pump"], outputs=["h2_m"], states=["h1", "h2"],
+                          params={"c1": 4e-4, "c2": 5e-4, "area": AREA, "gain": GAIN})
+    runs = [recording(s) for s in (1, 2, 3)]
+    effects = [e for i in ("square_root_outflow", "head_offset", "leakage") for e in effect_by_id(i)]
+    found = collect(plant, runs[:2], runs[2:], ["c1", "c2"], effects=effects)
+    decision = decide(found.problem, found.null, found.singles, found.pairs)
+    assert (decision.verdict, decision.chosen.ids) == ("named", ("square_root_outflow",))
+    (references,) = decision.chosen.values()
+    outlets = found.problem.plant.vector()[:2] * np.exp(decision.chosen.fit.theta[:2]) * np.sqrt(references)
+    assert outlets == pytest.approx(OUT, rel=0.03)
+    one_tank = min(h.test_error for h in found.singles if h.ids == ("square_root_outflow",) and len(h.values()[0]) == 1)
+    assert one_tank > 1.5 * decision.chosen.test_error  # a law of one tank is not enough
