@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from tests_support import gathered, pushed
 
-from pwaid.mismatch.decide import decide
+from pwaid.mismatch.decide import TOGETHER, decide
+from pwaid.mismatch.explain import conclude
 from pwaid.mismatch.hypotheses import floor_square
+from pwaid.mismatch.summary import verdict_sentence
 
 
 def test_parameters_that_short_training_hardly_determines_are_no_missing_effect():
@@ -17,7 +19,9 @@ def test_parameters_that_short_training_hardly_determines_are_no_missing_effect(
     assert max(h.share for h in found.singles if h.ids == ("actuator_lag",)) > 0.5
     decision = decide(problem, found.null, found.singles, found.pairs)
     assert decision.verdict == "parameters_only"
-    assert "all recordings at once" in decision.reasons[0]
+    sentence = verdict_sentence(conclude(found, brief=True).to_dict())
+    assert decision.reasons[0].startswith(TOGETHER)
+    assert TOGETHER in sentence and "disturbance" not in sentence
 
 
 def test_an_effect_that_only_held_out_recordings_excite_is_not_taken_for_parameters():

@@ -22,7 +22,9 @@ from pwaid.mismatch.predictability import predictability
 from pwaid.mismatch.thresholds import Thresholds
 from pwaid.mismatch.vetoes import veto
 
-__all__ = ["Decision", "at_floor", "decide", "errors_by_recording", "white_bic"]
+TOGETHER = "refitted to all recordings at once"
+
+__all__ = ["TOGETHER", "Decision", "at_floor", "decide", "errors_by_recording", "white_bic"]
 
 
 @dataclass(frozen=True)
@@ -103,8 +105,8 @@ def decide(problem: Problem, null: Hypothesis, singles: Sequence[Hypothesis], pa
         if _is_floor(problem, problem.test, problem.null_test.Y, t):
             reasons.append("the refitted simulator is at the noise floor on the held-out recordings")
             return Decision(_agreement_or_parameters(problem, t), null, (), (), tuple(reasons))
-        reasons.append("refitted to all recordings at once, the simulator is at the noise floor on each: the training "
-                       "recordings alone do not determine its parameters")
+        reasons.append(f"{TOGETHER}, the simulator is at the noise floor on each: the training recordings alone do not "
+                       "determine its parameters")
         return Decision("parameters_only", null, (), (), tuple(reasons))
     passed, refused = _judge(problem, [h for h in singles if _passes(problem, h, null, share)], t, reasons)
     passed_pairs, more = _judge(problem, _passing_pairs(problem, null, singles, pairs, share, t), t, reasons)

@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 import textwrap
 
+from pwaid.mismatch.decide import TOGETHER
+
 __all__ = ["interval", "number", "plus_minus", "summary_text", "verdict_sentence", "with_interval"]
 
 WIDTH = 112
@@ -118,6 +120,9 @@ def verdict_sentence(c: dict) -> str:
     if verdict == "unexplained":
         return _sentence(f"the mismatch is real ({size} after refitting the parameters) and nothing in the catalogue "
                          "explains it.")
+    if any(r.startswith(TOGETHER) for r in c.get("reasons", ())):
+        return (f"No missing physics is seen: {TOGETHER}, the simulator matches to the noise; the training recordings "
+                "alone do not determine its parameters.")
     if verdict == "parameters_only":
         moved = _moved(c)
         with_them = f"with {moved}" if moved else "with refitted parameters"
