@@ -89,9 +89,20 @@ def test_a_law_is_not_named_when_a_refused_one_leaves_much_less(rubbing):
     weaker = next(h for h in evidence.singles if h.ids == ("hysteretic_spring",))
     better = next(h for h in evidence.singles if h.ids == ("coulomb_friction",))
     reasons = []
-    assert _not_outdone([weaker], [better], Thresholds(), reasons) == []
+    assert _not_outdone(evidence.problem, [weaker], [better], Thresholds(), reasons) == []
     assert "itself refused" in reasons[0]
-    assert _not_outdone([better], [weaker], Thresholds(), reasons) == [better]
+    assert _not_outdone(evidence.problem, [better], [weaker], Thresholds(), reasons) == [better]
+
+
+def test_a_refused_pair_that_adds_to_a_law_speaks_against_it_only_where_noise_counts(rubbing):
+    evidence = gathered(rubbing, "coulomb_friction", "hysteretic_spring")
+    problem, (law, other) = evidence.problem, evidence.singles[:2]
+    pair = replace(law, located=(*law.located, *other.located), train_error=0.1 * law.train_error,
+                   test_error=0.1 * law.test_error)
+    stranger = replace(pair, located=other.located * 2)
+    for quiet, kept in ((0.0, [law]), (np.inf, [])):
+        assert _not_outdone(problem, [law], [pair], Thresholds(quiet=quiet), []) == kept
+        assert _not_outdone(problem, [law], [stranger], Thresholds(quiet=quiet), []) == []
 
 
 @pytest.mark.parametrize("step", [0.1, 0.37])

@@ -110,8 +110,8 @@ def decide(problem: Problem, null: Hypothesis, singles: Sequence[Hypothesis], pa
         return Decision("parameters_only", null, (), (), tuple(reasons))
     passed, refused = _judge(problem, [h for h in singles if _passes(problem, h, null, share)], t, reasons)
     passed_pairs, more = _judge(problem, _passing_pairs(problem, null, singles, pairs, share, t), t, reasons)
-    passed = _not_outdone(passed, [*refused, *more], t, reasons)
-    passed_pairs = sorted(_not_outdone(passed_pairs, [*refused, *more], t, reasons), key=_score)
+    passed = _not_outdone(problem, passed, [*refused, *more], t, reasons)
+    passed_pairs = sorted(_not_outdone(problem, passed_pairs, [*refused, *more], t, reasons), key=_score)
     best = min(passed, key=_score, default=None)
     if best is not None:
         best = _prefer_smaller(problem, best, passed, t)
@@ -157,18 +157,30 @@ def _judge(problem, passed, t, reasons):
     return kept, refused
 
 
-def _not_outdone(kept, refused, t, reasons):
-    """Those of which no refused hypothesis explains most of the rest: that rest is physics, not a disturbance."""
+def _not_outdone(problem, kept, refused, t, reasons):
+    """Those of which no refused hypothesis explains most of the rest: that rest is physics, not a disturbance.
+
+    Where noise is small beside the rest, one that adds a law to theirs says that more is missing, not that they are
+    wrong.
+    """
     left = []
     for h in kept:
+        quiet = np.all(over_floor(problem, h.test.Y, t) >= t.quiet)
         better = [r for r in refused if r.train_error < t.outdone * h.train_error
-                  and r.test_error < t.outdone * h.test_error]
+                  and r.test_error < t.outdone * h.test_error and not (quiet and _adds(r, h))]
         if better:
             reasons.append(f"{h.label}: {better[0].label}, itself refused, leaves less than {100 * t.outdone:.0f} % of "
                            "what it leaves")
         else:
             left.append(h)
     return left
+
+
+def _adds(large: Hypothesis, small: Hypothesis) -> bool:
+    """Whether `large` has more laws, and every law of `small`, or one that contains it, at its place."""
+    return len(large.located) > len(small.located) and all(
+        any(e.place.signal == f.place.signal and (e.effect.id == f.effect.id or e.effect.id in f.effect.contains)
+            for f in large.located) for e in small.located)
 
 
 def at_floor(problem, t) -> bool:
