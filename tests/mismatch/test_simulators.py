@@ -59,6 +59,7 @@ def static(t, x, u, params):
     return np.array([params["gain"] * u[0] + 0.1 * u[0] ** 3])
 
 
+@pytest.mark.filterwarnings("ignore::pwaid.mismatch.access.SlowSimulationWarning")  # said on a busy machine
 @pytest.mark.parametrize("system", [control.ss([], [], [], [[2.0]]),
                                     control.nlsys(None, static, inputs=1, outputs=1, params={"gain": 2.0})],
                          ids=["matrices", "function"])
