@@ -12,7 +12,8 @@ from pwaid.mismatch.predictability import predictability
 from pwaid.mismatch.thresholds import Thresholds
 from pwaid.mismatch.vetoes import at_bound, outside
 
-__all__ = ["inadequate", "likelihood_gain", "over_floor", "predicted_rest", "still_explained", "stretched"]
+__all__ = ["floor_or_trifle", "inadequate", "likelihood_gain", "over_floor", "predicted_rest", "still_explained",
+           "stretched"]
 
 
 def inadequate(problem: Problem, h: Hypothesis, t: Thresholds) -> str:
@@ -56,7 +57,7 @@ def stretched(problem: Problem, h: Hypothesis, t: Thresholds) -> str:
     if outside(h, t.reach):
         return f"{outside(h, t.reach)[0]} had to leave its tolerance and the error is not at the floor"
     null = over_floor(problem, problem.null_test.Y, t)
-    trained = np.mean((problem.train.Y - h.fit.Y) ** 2, axis=0) / _floor(problem, t) ** 2
+    trained = np.mean((problem.train.Y - h.fit.Y) ** 2, axis=0) / floor_or_trifle(problem, t) ** 2
     if np.all(trained < t.left) and np.any((left > t.outgrown * np.maximum(trained, 1.0)) & (left > t.residue * null)):
         return f"it fits the training recordings to the floor and leaves {np.max(left / trained):.0f} times as much " \
                "on held-out ones"
@@ -78,7 +79,7 @@ def still_explained(problem: Problem, h: Hypothesis, t: Thresholds, maps: Leftov
         return f"the inputs still predict {100 * float(np.max(rest)):.0f} % of what it leaves"
     if maps is None or maps.validated < t.validated:
         return ""
-    floor = _floor(problem, t) ** 2
+    floor = floor_or_trifle(problem, t) ** 2
     before, removed = maps.before / floor, (maps.before - maps.after) / floor
     found = loud & (removed > t.mapped * np.maximum(before - 1.0, t.near - 1.0)) & (removed > t.residue * null)
     if found.any() and not acquitted:
@@ -90,14 +91,14 @@ def still_explained(problem: Problem, h: Hypothesis, t: Thresholds, maps: Leftov
     return ""
 
 
-def _floor(problem: Problem, t: Thresholds) -> np.ndarray:
+def floor_or_trifle(problem: Problem, t: Thresholds) -> np.ndarray:
     """The floor of each output, or a trifle of the output."""
     return np.maximum(problem.floor.level, t.trifle * np.std(problem.train.Y, axis=0))
 
 
 def over_floor(problem: Problem, Y, t: Thresholds) -> np.ndarray:
     """Held-out mean square of each output relative to the floor's, or to a trifle of the output."""
-    return np.mean((problem.test.Y - Y) ** 2, axis=0) / _floor(problem, t) ** 2
+    return np.mean((problem.test.Y - Y) ** 2, axis=0) / floor_or_trifle(problem, t) ** 2
 
 
 def predicted_rest(problem: Problem, h: Hypothesis, left, t: Thresholds) -> np.ndarray:

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pwaid.mismatch.adequacy import inadequate, over_floor, predicted_rest, still_explained
+from pwaid.mismatch.adequacy import floor_or_trifle, inadequate, over_floor, predicted_rest, still_explained
 from pwaid.mismatch.hypotheses import Hypothesis, floor_square, mean_square
 from pwaid.mismatch.leftover import leftover
 from pwaid.mismatch.nullfit import Problem
@@ -22,9 +22,9 @@ from pwaid.mismatch.predictability import predictability
 from pwaid.mismatch.thresholds import Thresholds
 from pwaid.mismatch.vetoes import veto
 
-TOGETHER = "refitted to all recordings at once"
-
 __all__ = ["TOGETHER", "Decision", "at_floor", "decide", "errors_by_recording", "white_bic"]
+
+TOGETHER = "refitted to all recordings at once"
 
 
 @dataclass(frozen=True)
@@ -200,8 +200,7 @@ def _together_at_floor(problem, t) -> bool:
 
 
 def _is_floor(problem, data, Y, t) -> bool:
-    floor = np.maximum(problem.floor.level, t.trifle * np.std(problem.train.Y, axis=0)) ** 2
-    return bool(np.all(np.mean((data.Y - Y) ** 2, axis=0) < t.material * floor))
+    return bool(np.all(np.mean((data.Y - Y) ** 2, axis=0) < t.material * floor_or_trifle(problem, t) ** 2))
 
 
 def _unrelated(problem, t) -> bool:

@@ -14,10 +14,10 @@ from pwaid.mismatch.model import Located, Model
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.screen import Screened, run_jobs, screen
 
-AT_FLOOR = 1.1  # times the floor's mean square: a fit below it has lost no start state
-
 __all__ = ["Hypothesis", "fit_contained", "fit_screened", "fit_shortlist", "floor_square", "hypothesis_of",
            "inner_laws", "mean_square", "null_hypothesis", "on_whole", "share", "without"]
+
+AT_FLOOR = 1.1  # times the floor's mean square: a fit below it has lost no start state
 
 
 @dataclass(frozen=True)

@@ -22,9 +22,9 @@ from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.pairscreen import screen_pairs
 from pwaid.mismatch.screen import Screened, run_jobs, screen
 
-STRANDED = 3.0  # times the training error of the best pair
-
 __all__ = ["fit_inner", "fit_joint", "fit_members", "fit_pairs", "fit_reversed", "fit_swaps"]
+
+STRANDED = 3.0  # times the training error of the best pair
 
 
 def fit_joint(problem: Problem, located: Sequence[Located], jobs: int = 1, count: int = 4) -> list[Hypothesis]:

@@ -53,7 +53,7 @@ class Signatures:
 
     def of(self, candidate: Located) -> list[Signature]:
         """The signatures of every size at which its simulation does not run away and changes anything."""
-        data, change = self.problem.coarse, self._changes(candidate)
+        data, change = self.problem.coarse, _Changes(self.problem, self.fit, candidate)
         low, high = candidate.bounds(data.sample_time / change.substeps)
         grid = _probe_grid(candidate, self.problem, self.fit.residual(data)) or [np.zeros(0)]
         found = []
@@ -73,11 +73,8 @@ class Signatures:
         if not z.size:
             return 1.0
         z[0] = z[0] - np.log(100.0) if candidate.effect.quantities[0].log else z[0] * 0.01
-        s = self._changes(candidate)(z)
+        s = _Changes(self.problem, self.fit, candidate)(z)
         return float(np.sum(self.project(s) ** 2)) / float(s @ s) if s is not None else 1.0
-
-    def _changes(self, candidate: Located):
-        return _Changes(self.problem, self.fit, candidate)
 
 
 class _Changes:
