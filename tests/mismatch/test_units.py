@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from pwaid.errors import InputError
-from pwaid.mismatch.units import check_unit, combine, parse_unit, unit_kind
+from pwaid.mismatch.units import KNOWN, check_unit, combine, parse_unit, unit_kind
 
 
 def test_parse_and_kind():
@@ -22,3 +22,15 @@ def test_combine_cancels():
 def test_unknown_unit_names_the_symbol():
     with pytest.raises(InputError, match="unknown unit 'furlong'"):
         check_unit("furlong")
+
+
+def test_prefixes_and_what_is_written_together():
+    assert unit_kind("MN m") == unit_kind("kNm") == unit_kind("Nm") == "torque"
+    assert parse_unit("mNms/rad") == {"mN": 1, "m": 1, "s": 1, "rad": -1}
+    assert unit_kind("µm/s") == "speed" and unit_kind("MPa") == "pressure" and unit_kind("mA") == "current"
+    assert unit_kind("min") == "time" and unit_kind("ft") == "length"  # no prefix on an inch
+
+
+def test_a_symbol_of_its_own_is_no_prefix():
+    assert (KNOWN["h"], KNOWN["T"], KNOWN["cm"], KNOWN["kg"], KNOWN["°C"]) == (
+        "time", "field", "length", "mass", "temperature")

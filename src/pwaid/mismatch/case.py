@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from pwaid.errors import InputError
+from pwaid.mismatch.built import with_arguments
 from pwaid.mismatch.plant import Plant, as_plant
 from pwaid.mismatch.units import check_unit
 from pwaid.recording import Recording
@@ -71,12 +72,13 @@ def load_case(folder) -> Case:
     for name in (*train, *test):
         if not (folder / name).is_file():
             raise InputError(f"{folder / name} does not exist; expected a recording listed in case.toml")
-    plant, source = _load_simulator(folder / table["simulator"], inputs, outputs)
+    free = table.get("free_parameters")
+    plant, source = _load_simulator(folder / table["simulator"], inputs, outputs, free)
 
     controller = None
     if "controller" in table:
         wanted = "a control system from (references, measured outputs) to the plant inputs"
-        controller, _ = _build(folder / table["controller"], "controller", wanted)
+        controller, *_ = _build(folder / table["controller"], "controller", wanted)
     elif references:
         raise InputError(f"{path} has [references] and no controller; name controller = \"controller.py\", or leave "
                          "them out")
@@ -95,7 +97,6 @@ def load_case(folder) -> Case:
     strange = [k for k in floor if k not in outputs]
     if strange:
         raise InputError(f"noise_floor names {strange[0]!r}, which is not an output; expected one of {list(outputs)}")
-    free = table.get("free_parameters")
     return Case(plant, tuple(read(n) for n in train), tuple(read(n) for n in test),
                 None if free is None else tuple(free), tuple(inputs.values()), tuple(outputs.values()), floor,
                 tuple(tuple(g) for g in table.get("repeats", [])), hold == "first",
@@ -160,7 +161,7 @@ def _check_kinds(path: Path, table: Mapping) -> None:
 
 
 def _build(path: Path, what: str, wanted: str):
-    """What build() in a user's file returns, and the file's text."""
+    """What build() in a user's file returns, build itself, and the file's text."""
     if not path.is_file():
         raise InputError(f"{path} does not exist; expected the {what} named in case.toml")
     name = f"pwaid_case_{what}_{next(_serial)}"
@@ -179,12 +180,12 @@ def _build(path: Path, what: str, wanted: str):
     except (Exception, SystemExit) as error:
         raise InputError(f"build() in {path} raised {type(error).__name__}: {error}; it must return {wanted}"
                          ) from error
-    return system, path.read_text(encoding="utf-8")
+    return system, module.build, path.read_text(encoding="utf-8")
 
 
-def _load_simulator(path: Path, inputs, outputs) -> tuple[Plant, str]:
-    system, source = _build(path, "simulator", "a control system or a callable simulate(u)")
-    plant = as_plant(system, tuple(inputs), tuple(outputs), source=source)
+def _load_simulator(path: Path, inputs, outputs, free) -> tuple[Plant, str]:
+    system, build, source = _build(path, "simulator", "a control system or a callable simulate(u)")
+    plant = with_arguments(as_plant(system, tuple(inputs), tuple(outputs), source=source), build, free)
     _, nu, ny = plant.sizes
     if nu != len(inputs):
         raise InputError(f"the simulator has {nu} inputs, case.toml lists {len(inputs)} ({', '.join(inputs)}); "

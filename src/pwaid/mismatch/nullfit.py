@@ -116,9 +116,10 @@ def free_names(plant: Plant, free: Sequence[str] | None) -> tuple[tuple[str, ...
         For a name the simulator does not have.
     """
     if free is None:
-        free = [n for n, v in plant.parameters.items() if v not in (0.0, 1.0, -1.0)] if plant.linear else list(
+        entries = plant.linear and not plant.arguments
+        free = [n for n, v in plant.parameters.items() if v not in (0.0, 1.0, -1.0)] if entries else list(
             plant.parameters)
-        if plant.linear and len(free) > 12:
+        if entries and len(free) > 12:
             free = [n for n in free if n[0] in "BD"]
     unknown = [n for n in free if n not in plant.parameters]
     if unknown:

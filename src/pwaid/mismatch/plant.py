@@ -16,7 +16,7 @@ from pwaid.mismatch.compile_rhs import CompileFailure, compiled_pair
 from pwaid.mismatch.engine import RHS_TYPE
 from pwaid.mismatch.realise import realise
 
-__all__ = ["Plant", "as_plant", "called_with_arrays", "takes_arrays"]
+__all__ = ["Plant", "as_plant", "called_with_arrays", "checked", "takes_arrays"]
 
 
 @dataclass(frozen=True)
@@ -31,6 +31,7 @@ class Plant:
 
     A black box has `black_box` instead of equations, `dt` = 1 (one call covers all samples), its start as
     states, `force_names` for its force hook, and `gains`, pairs (input, position of its gain parameter).
+    `arguments` are the parameters that build() takes, see `pwaid.mismatch.built`.
     """
 
     update: Callable
@@ -52,6 +53,7 @@ class Plant:
     force_names: tuple[str, ...] = ()
     force_units: tuple[str, ...] = ()
     gains: tuple[tuple[int, int], ...] = ()
+    arguments: tuple[str, ...] = ()
 
     @property
     def start_sizes(self) -> np.ndarray:
@@ -215,13 +217,13 @@ def _from_nonlinear(system: control.NonlinearIOSystem, source: str) -> Plant:
                   tuple(system.output_labels), parameters, constants, dt=_time_step(system), source=source,
                   notes=tuple(f"parameter {n} of the simulator is {type(v).__name__}: kept as it is"
                               for n, v in constants.items()))
-    return _checked(plant)
+    return checked(plant)
 
 
 LEVELS = (0.1, 1.0, 0.0, 10.0, 100.0, 300.0, 1e3, 1e5)  # states at which a simulator may be at home
 
 
-def _checked(plant: Plant) -> Plant:
+def checked(plant: Plant) -> Plant:
     """The plant compiled, after one evaluation at states of the first magnitude that works."""
     failures = []
     for level in LEVELS:
@@ -341,7 +343,7 @@ def as_plant(simulator, input_names=None, output_names=None, parameters: Mapping
         return _from_black_box(simulator, tuple(input_names or ()), tuple(output_names or ()), parameters, source)
     if callable(simulator) and len(inspect.signature(simulator).parameters) >= 4:
         names = tuple(output_names or ())
-        return _checked(Plant(simulator, None, names, tuple(input_names or ()), names, dict(parameters or {}),
+        return checked(Plant(simulator, None, names, tuple(input_names or ()), names, dict(parameters or {}),
                               source=source))
     raise InputError(f"the simulator is a {type(simulator).__name__}; expected control.nlsys, control.ss, a transfer "
                      "function, a right-hand side f(t, x, u, params), or a callable simulate(u)")

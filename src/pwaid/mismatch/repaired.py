@@ -16,6 +16,7 @@ from pwaid.mismatch import repaired_parts as parts
 from pwaid.mismatch.hypotheses import Hypothesis
 from pwaid.mismatch.lawsource import Law, law_functions
 from pwaid.mismatch.model import Model
+from pwaid.mismatch.plant import Plant
 from pwaid.mismatch.realise import realise
 
 __all__ = ["repaired_source", "repaired_system", "without_future"]
@@ -57,10 +58,16 @@ def repaired_source(hypothesis: Hypothesis, sample_time: float, simulator_source
         text.append(parts.rule("the missing physics") + "\n\n".join(_law_text(law) for law in laws))
     text.append(parts.rule("the repaired simulator") + _simulator(model, laws))
     if simulator_source is not None:
-        linear = model.settings.plant.linear
-        text.append(inspect.getsource(realise) + parts.LINEAR_BUILD if linear else parts.BUILD)
+        text.append(_build_text(model.settings.plant))
         text.append(_simulate(model))
     return "\n\n\n".join(t.strip("\n") for t in text) + "\n"
+
+
+def _build_text(plant: Plant) -> str:
+    """build() of the repaired simulator, and what it needs."""
+    if plant.arguments:
+        return inspect.getsource(realise) + parts.filled(parts.ARGUMENTS_BUILD, {"ARGUMENTS": plant.arguments})
+    return inspect.getsource(realise) + parts.LINEAR_BUILD if plant.linear else parts.BUILD
 
 
 def _laws(hypothesis: Hypothesis) -> list[Law]:

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-__all__ = ["BUILD", "DELAY", "DELAYED_AT_SAMPLE", "DISCRETE_FRICTION", "DISCRETE_STEP", "DRY_STEP", "FRICTION",
-           "LINEAR_BUILD", "PLANT", "REMEMBER", "RUNGE_KUTTA_STEP", "SENSOR_MEMORY", "SIMULATE", "UPDATE", "filled",
-           "rule"]
+__all__ = ["ARGUMENTS_BUILD", "BUILD", "DELAY", "DELAYED_AT_SAMPLE", "DISCRETE_FRICTION", "DISCRETE_STEP", "DRY_STEP",
+           "FRICTION", "LINEAR_BUILD", "PLANT", "REMEMBER", "RUNGE_KUTTA_STEP", "SENSOR_MEMORY", "SIMULATE", "UPDATE",
+           "filled", "rule"]
 
 
 def rule(title: str) -> str:
@@ -241,6 +241,38 @@ def build():
     update, output = make_repaired(nominal_update, nominal_output)
     return control.nlsys(update, output, inputs=list(system.input_labels), outputs=list(system.output_labels),
                          states=list(system.state_labels) + MEMORY, params=dict(REFITTED), dt=SAMPLE_TIME,
+                         name="repaired")
+'''
+
+ARGUMENTS_BUILD = '''
+def build():
+    """The repaired simulator as a discrete-time control.nlsys."""
+    system = nominal_build()
+    linear, last = not isinstance(system, control.NonlinearIOSystem) or hasattr(system, "A"), {}
+
+    def built(params):
+        values = {n: params[n] for n in «ARGUMENTS»}
+        if last.get("values") != values:
+            found = nominal_build(**values)
+            last.update(values=values, system=realise(found) if isinstance(found, control.TransferFunction) else found)
+        return last["system"]
+
+    def inner(found, params):
+        return {**(found.params or {}), **{n: v for n, v in params.items() if n not in «ARGUMENTS»}}
+
+    def nominal_update(t, x, u, params):
+        found = built(params)
+        return found.A @ x + found.B @ u if linear else found.updfcn(t, x, u, inner(found, params))
+
+    def nominal_output(t, x, u, params):
+        found = built(params)
+        if linear:
+            return found.C @ x + found.D @ u
+        return x if found.outfcn is None else found.outfcn(t, x, u, inner(found, params))
+
+    update, output = make_repaired(nominal_update, nominal_output)
+    return control.nlsys(update, output, inputs=list(system.input_labels), outputs=list(system.output_labels),
+                         states=list(built(REFITTED).state_labels) + MEMORY, params=dict(REFITTED), dt=SAMPLE_TIME,
                          name="repaired")
 '''
 

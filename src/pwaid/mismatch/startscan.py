@@ -16,6 +16,7 @@ __all__ = ["best_starts", "scans", "unseen_directions"]
 
 SEEN = 1e-3  # of sigma: what a move by the whole range must change in the null's outputs, on the average
 COUNT, SLOW_COUNT, VALLEYS = 96, 32, 4  # places of a scan, where simulations are slow, and starts taken from it
+PROBES = np.array([0.0, 0.19, 0.43, 0.71, 1.0])  # places in the range that show whether a law acts along a direction
 
 
 def unseen_directions(problem) -> list[tuple[int, np.ndarray]]:
@@ -39,17 +40,30 @@ def unseen_directions(problem) -> list[tuple[int, np.ndarray]]:
 def _invisible(problem, move) -> bool:
     """Whether a move of every start state leaves the null's held-out outputs where they are."""
     fit = problem.null_test
-    Y = fit.model.simulate(fit.theta, fit.X0 + move, problem.test)[0]
-    return bool(np.max(np.abs(Y - fit.Y) / problem.sigma) < 10 * SEEN)
+    return _alike(problem, fit.model.simulate(fit.theta, fit.X0 + move, problem.test)[0], fit.Y)
+
+
+def _alike(problem, Y, other) -> bool:
+    """Whether two simulations differ by nothing that counts beside sigma."""
+    return bool(np.max(np.abs(Y - other) / problem.sigma) < 10 * SEEN)
 
 
 def scans(problem, fit: Fit, X0, data: Dataset) -> list[np.ndarray]:
-    """Start states (segments, nx) at the deepest valleys of a scan along each unseen direction."""
+    """Start states (segments, nx) at the deepest valleys of a scan along each direction that its laws see and the null
+    does not."""
     found, s = [], problem.structure
-    for i, d in problem.unseen if fit.model.located else ():
-        values = np.linspace(s.low[i], s.high[i], COUNT if problem.plant.rhs is not None else SLOW_COUNT)
+
+    def moved(values, i, d):
         trials = X0 + (values[:, None] - X0[:, i])[:, :, None] * d
-        sums = np.array([_by_segment(problem, fit.model.simulate(fit.theta, x, data)[0], data) for x in trials])
+        return trials, (fit.model.simulate(fit.theta, x, data)[0] for x in trials)
+
+    for i, d in problem.unseen if fit.model.located else ():
+        first, *others = moved(s.low[i] + PROBES * (s.high[i] - s.low[i]), i, d)[1]
+        if all(_alike(problem, Y, first) for Y in others):
+            continue
+        count = COUNT if problem.plant.rhs is not None else SLOW_COUNT
+        trials, outputs = moved(np.linspace(s.low[i], s.high[i], count), i, d)
+        sums = np.array([_by_segment(problem, Y, data) for Y in outputs])
         padded = np.pad(sums, ((1, 1), (0, 0)), constant_values=np.inf)
         valley = np.where((sums <= padded[:-2]) & (sums <= padded[2:]), sums, np.inf)
         found += [trials[row, np.arange(len(X0))] for row in np.argsort(valley, axis=0)[:VALLEYS]]

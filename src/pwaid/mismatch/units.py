@@ -9,16 +9,20 @@ from pwaid.errors import InputError
 __all__ = ["KNOWN", "check_unit", "combine", "parse_unit", "unit_kind"]
 
 _KINDS = {
-    "angle": ("rad", "deg", "mrad", "rev", "urad", "µrad"),
-    "length": ("m", "mm", "um", "µm", "cm", "km", "in"),
-    "force": ("N", "kN", "mN"), "voltage": ("V", "mV", "kV"), "current": ("A", "mA"),
-    "temperature": ("K", "degC", "°C", "C", "degF"), "pressure": ("Pa", "kPa", "bar", "MPa", "mbar", "hPa"),
-    "mass": ("kg", "g"), "time": ("s", "ms", "min", "h", "us"), "power": ("W", "kW", "mW"),
-    "volume": ("l", "L", "ml", "mL"), "charge": ("Ah", "As", "Coulomb"), "energy": ("J", "kJ"),
-    "frequency": ("Hz", "kHz"), "resistance": ("Ohm", "ohm", "Ω"), "inductance": ("H", "mH"), "field": ("T",),
-    "capacitance": ("F", "uF"), "plain": ("1", "-", "%", "", "counts", "count", "pu", "rpm", "ticks", "lsb"),
+    "angle": ("rad", "deg", "°", "rev", "turn", "arcmin", "arcsec"), "length": ("m", "in", "ft"),
+    "force": ("N", "lbf", "kgf"), "voltage": ("V",), "current": ("A",),
+    "temperature": ("K", "degC", "°C", "C", "degF"), "pressure": ("Pa", "bar", "psi"), "mass": ("g", "t", "lb"),
+    "time": ("s", "min", "h", "d"), "power": ("W", "hp"), "volume": ("l", "L"), "charge": ("Ah", "As", "Coulomb"),
+    "energy": ("J", "Wh"), "frequency": ("Hz",), "resistance": ("Ohm", "ohm", "Ω"), "inductance": ("H",),
+    "field": ("T",), "capacitance": ("F",),
+    "plain": ("1", "-", "%", "", "counts", "count", "pu", "rpm", "ticks", "lsb"),
 }
+_PREFIXES = ("p", "n", "u", "µ", "m", "c", "h", "k", "M", "G")
+_PREFIXED = ("rad", "m", "N", "V", "A", "K", "Pa", "bar", "g", "s", "W", "l", "L", "Ah", "J", "Wh", "Hz", "Ohm", "ohm",
+             "Ω", "H", "T", "F")
 KNOWN = {symbol: kind for kind, symbols in _KINDS.items() for symbol in symbols}
+KNOWN = {prefix + symbol: KNOWN[symbol] for symbol in _PREFIXED for prefix in _PREFIXES} | KNOWN
+_TOGETHER = {prefix + text: (prefix + "N", *text[1:]) for text in ("Nm", "Nms", "Ns") for prefix in ("", *_PREFIXES)}
 _TOKEN = re.compile(r"([A-Za-zµ°Ω%]+|1|-)(?:\^|\*\*)?(-?\d+)?")
 
 
@@ -38,10 +42,12 @@ def parse_unit(text: str) -> dict[str, int]:
             match = _TOKEN.fullmatch(token)
             if token in ("1", "-"):
                 continue
-            if match is None or match.group(1) not in KNOWN:
+            symbols = _TOGETHER.get(match.group(1), match.groups()[:1]) if match else ()
+            if not symbols or symbols[0] not in KNOWN:
                 raise InputError(f"unknown unit {text!r} (at {token!r}); expected products of SI symbols such as "
                                  "'N m', 'rad/s', 'm/s^2', 'V', 'degC', 'bar', or '1'")
-            powers[match.group(1)] = powers.get(match.group(1), 0) + sign * int(match.group(2) or 1)
+            for symbol in symbols:
+                powers[symbol] = powers.get(symbol, 0) + sign * int(match.group(2) or 1)
     return {symbol: power for symbol, power in powers.items() if power and KNOWN[symbol] != "plain"}
 
 

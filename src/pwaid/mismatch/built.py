@@ -1,0 +1,76 @@
+"""Simulators whose parameters are arguments of build(): ``def build(m=1.0, b=0.2): ... return control.ss(...)``.
+
+A control.StateSpace holds numbers only, so the names of physics survive in the arguments. The simulator is built again
+for every set of values; what is compiled has the arithmetic of build() in it.
+"""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Sequence
+
+import control
+import numpy as np
+
+from pwaid.mismatch.plant import Plant, checked
+from pwaid.mismatch.realise import realise
+
+__all__ = ["with_arguments"]
+
+KEPT = 64  # systems that are kept, so that a simulation in Python builds one only
+
+
+def with_arguments(plant: Plant, build: Callable, free: Sequence[str] | None) -> Plant:
+    """The plant with the numbers that build() takes as its parameters, where the user means them.
+
+    They are meant when `free` names one that the simulator itself does not have, or, without `free`, when the
+    simulator is linear and its own parameters are matrix entries. Otherwise the plant as it came.
+    """
+    arguments = _numbers(build)
+    unknown = [n for n in free or () if n not in plant.parameters]
+    meant = any(n in arguments for n in unknown) if free is not None else bool(plant.linear and arguments)
+    if not meant or plant.black_box is not None:
+        return plant
+    own = {} if plant.linear else {n: v for n, v in plant.parameters.items() if n not in arguments}
+    systems: dict[tuple, object] = {}
+
+    def built(params):
+        values = tuple(params[n] for n in arguments)
+        if values not in systems:
+            if len(systems) >= KEPT:
+                systems.clear()
+            system = build(**dict(zip(arguments, values, strict=True)))
+            systems[values] = realise(system) if isinstance(system, control.TransferFunction) else system
+        return systems[values]
+
+    def update(t, x, u, params):
+        system = built(params)
+        if plant.linear:
+            return system.A @ x + system.B @ u
+        return system.updfcn(t, x, u, _inner(system, params, arguments))
+
+    def output(t, x, u, params):
+        system = built(params)
+        if plant.linear:
+            return system.C @ x + system.D @ u
+        return x if system.outfcn is None else system.outfcn(t, x, u, _inner(system, params, arguments))
+
+    update.__wrapped__ = output.__wrapped__ = build  # whose module is the user's
+    return checked(Plant(update, output, plant.state_names, plant.input_names, plant.output_names,
+                         {**arguments, **own}, plant.constants, dt=plant.dt, source=plant.source, linear=plant.linear,
+                         arguments=tuple(arguments)))
+
+
+def _inner(system, params, arguments):
+    """What a built nonlinear simulator gets as params: its own, with those that are no arguments of build()."""
+    return {**(system.params or {}), **{n: v for n, v in params.items() if n not in arguments}}
+
+
+def _numbers(build: Callable) -> dict[str, float]:
+    """The arguments of build() whose defaults are numbers."""
+    try:
+        signature = inspect.signature(build)
+    except (TypeError, ValueError):
+        return {}
+    return {n: float(p.default) for n, p in signature.parameters.items()
+            if isinstance(p.default, int | float | np.number) and not isinstance(p.default, bool)}

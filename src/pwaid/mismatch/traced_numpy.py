@@ -1,0 +1,297 @@
+"""NumPy, math, control.ss and a few builtins as a function sees them while it is run on symbols.
+
+What a user's module, its classes and closures call `np`, `math`, `sin` or `max` is replaced for the time of one run:
+functions of numbers take symbols, and arrays that are made can hold them.
+"""
+
+from __future__ import annotations
+
+import functools
+import inspect
+import math
+import sysconfig
+import threading
+import types
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import control
+import numpy as np
+
+from pwaid.mismatch.symbolic import FUNCTIONS, OTHER_NAMES, Symbol, TraceFailure, apply, elementwise, is_symbolic
+
+__all__ = ["as_numbers", "replaced"]
+
+_LOCK = threading.RLock()  # modules are changed for the time of a run: one at a time
+_INSTALLED = tuple(str(Path(sysconfig.get_path(k)).resolve()) for k in ("stdlib", "platstdlib", "purelib", "platlib"))
+
+
+def as_numbers(value):
+    """An array of objects that are all numbers, as floats; anything else as it came."""
+    if isinstance(value, np.ndarray) and value.dtype == object and not is_symbolic(value):
+        return value.astype(float)
+    return value
+
+
+def _function(name: str, original: Callable) -> Callable:
+    spread = elementwise(lambda *values: apply(name, *values))
+
+    @functools.wraps(original, updated=())
+    def either(*arguments, **options):
+        if any(is_symbolic(a) for a in arguments):
+            if set(options) - {"dtype"}:
+                raise TraceFailure(f"it calls numpy's {name} with {', '.join(options)}")
+            return spread(*arguments)
+        return original(*(as_numbers(a) for a in arguments), **options)
+
+    return either
+
+
+def _where(condition, *choices):
+    if not choices or not any(is_symbolic(a) for a in (condition, *choices)):
+        return np.where(as_numbers(condition), *(as_numbers(c) for c in choices))
+    return elementwise(_choose)(condition, *choices)
+
+
+def _choose(condition, a, b):
+    if not isinstance(condition, Symbol):
+        return a if condition else b
+    return apply("select", condition if condition.truth else apply("not_equal", condition, 0.0), a, b)
+
+
+def _clip(a, a_min=None, a_max=None, **bounds):
+    low, high = bounds.get("min", a_min), bounds.get("max", a_max)
+    a = a if low is None else _MINE["maximum"](a, low)
+    return a if high is None else _MINE["minimum"](a, high)
+
+
+def _holding_objects(make: Callable) -> Callable:
+    """An array function whose floats become objects, so that symbols can be stored among them."""
+
+    @functools.wraps(make, updated=())
+    def made(*arguments, **options):
+        dtype = options.get("dtype")
+        symbolic = any(is_symbolic(a) for a in arguments)
+        if symbolic:
+            options["dtype"] = object
+            arguments = arguments[:1] if make in (np.array, np.asarray, np.asanyarray) else arguments
+        result = make(*arguments, **options)
+        if symbolic and dtype in (int, bool, "int", "bool"):
+            raise TraceFailure("it turns a number into an integer")
+        return result.astype(object) if result.dtype.kind == "f" else result
+
+    return made
+
+
+def _like(make: Callable) -> Callable:
+    return lambda a, dtype=None, **options: make(np.shape(a), **options).astype(object)
+
+
+def _solve(a, b):
+    if not (is_symbolic(a) or is_symbolic(b)):
+        return np.linalg.solve(as_numbers(np.asarray(a)), as_numbers(np.asarray(b)))
+    a, b = np.asarray(a, dtype=object), np.asarray(b, dtype=object)
+    n = len(a)
+    if a.shape != (n, n) or b.ndim > 2 or len(b) != n:
+        raise TraceFailure("it solves equations of a shape that is not square")
+    columns = [_solution(a, column) for column in b.reshape(n, -1).T]
+    return np.array(columns, dtype=object).T.reshape(b.shape)
+
+
+def _solution(a, b):
+    entries = [*a.flat, *b]
+    tape = next(v.tape for v in entries if isinstance(v, Symbol))
+    whole = tape.node("solve", *(v.node if isinstance(v, Symbol) else tape.constant(v) for v in entries))
+    return [tape.symbol("item", whole, k) for k in range(len(b))]
+
+
+def _inverse(a):
+    return _solve(a, np.eye(len(a), dtype=object) if is_symbolic(a) else np.eye(len(a)))
+
+
+def _determinant(a):
+    a = np.asarray(a)
+    if not is_symbolic(a):
+        return np.linalg.det(as_numbers(a))
+    if len(a) == 1:
+        return a[0, 0]
+    return sum((-1) ** k * a[0, k] * _determinant(np.delete(a[1:], k, axis=1)) for k in range(len(a)))
+
+
+def _norm(a, *arguments, **options):
+    if not is_symbolic(a):
+        return np.linalg.norm(as_numbers(np.asarray(a)), *arguments, **options)
+    if arguments or options:
+        raise TraceFailure("it takes a norm other than the Euclidean one")
+    return apply("sqrt", sum(v * v for v in np.asarray(a, dtype=object).flat))
+
+
+def _interp(x, xp, fp, left=None, right=None, period=None):
+    if not any(is_symbolic(a) for a in (x, xp, fp)):
+        return np.interp(as_numbers(x), as_numbers(xp), as_numbers(fp), left, right, period)
+    if is_symbolic(xp) or is_symbolic(fp) or period is not None:
+        raise TraceFailure("it interpolates in a table that is not fixed")
+    table = (tuple(float(v) for v in xp), tuple(float(v) for v in fp),
+             float(fp[0] if left is None else left), float(fp[-1] if right is None else right))
+    return elementwise(lambda v: v.tape.symbol("interp", v.node, table) if isinstance(v, Symbol)
+                       else np.interp(v, table[0], table[1], table[2], table[3]))(x)
+
+
+class _Stand:
+    """A module with some of its functions replaced."""
+
+    def __init__(self, module, mine):
+        self.__dict__.update(mine)
+        self._module = module
+
+    def __getattr__(self, name):
+        return getattr(self._module, name)
+
+
+class _FloatKind(type):
+    def __instancecheck__(cls, value):
+        return isinstance(value, float | Symbol)
+
+
+class _Float(float, metaclass=_FloatKind):
+    """`float` that leaves a symbol as it is."""
+
+    def __new__(cls, value=0.0):
+        if is_symbolic(value):
+            value = value if isinstance(value, Symbol) else np.asarray(value).item()
+            return apply("number", value) if value.truth else value
+        return float(value)
+
+
+def _extreme(name: str, original: Callable) -> Callable:
+    def either(*arguments, **options):
+        values = arguments if len(arguments) > 1 else tuple(arguments[0])
+        if options or not is_symbolic(values):
+            return original(*arguments, **options)
+        return functools.reduce(lambda a, b: apply(name, a, b), values)
+
+    return either
+
+
+def _linear(make: Callable) -> Callable:
+    """A maker of linear systems that gives symbolic matrices as they are, with A, B, C, D as its names."""
+
+    def made(*matrices, **options):
+        if len(matrices) < 4 or not any(is_symbolic(m) for m in matrices):
+            return make(*matrices, **options)
+        A, B, C, D = (np.array(m, dtype=object) for m in matrices[:4])
+        A, B, C = np.atleast_2d(A), B.reshape(-1, 1) if B.ndim < 2 else B, np.atleast_2d(C)
+        return types.SimpleNamespace(A=A, B=B, C=C, D=np.broadcast_to(D, (len(C), B.shape[1])))
+
+    return made
+
+
+def _names(prefix) -> dict[str, Callable]:
+    found = {n: _function(n, getattr(prefix, n)) for n in FUNCTIONS if callable(getattr(prefix, n, None))}
+    return found | {n: _function(real, getattr(prefix, n)) for n, real in OTHER_NAMES.items()
+                    if real in FUNCTIONS and callable(getattr(prefix, n, None))}
+
+
+_LINALG = {"solve": _solve, "inv": _inverse, "det": _determinant, "norm": _norm}
+_MINE = _names(np) | {"where": _where, "clip": _clip, "interp": _interp, "float64": _Float} | {
+    n: _holding_objects(getattr(np, n)) for n in ("array", "asarray", "asanyarray", "zeros", "ones", "empty", "full",
+                                                  "eye", "identity", "diag")} | {
+    f"{n}_like": _like(getattr(np, n)) for n in ("zeros", "ones", "empty")}
+_MATH = _names(math) | {name: _function(real, getattr(math, name)) for name, real in (
+    ("asin", "arcsin"), ("acos", "arccos"), ("atan", "arctan"), ("atan2", "arctan2"), ("asinh", "arcsinh"),
+    ("acosh", "arccosh"), ("atanh", "arctanh"), ("pow", "power"))}
+_BUILTINS = {"max": _extreme("larger", max), "min": _extreme("smaller", min), "float": _Float}
+
+
+def _replacements() -> dict[int, object]:
+    """What stands for each module and function, by its identity."""
+    linalg = _Stand(np.linalg, _LINALG)
+    found = {id(np): _Stand(np, _MINE | {"linalg": linalg}), id(np.linalg): linalg, id(math): _Stand(math, _MATH)}
+    for module, mine in ((np, _MINE), (np.linalg, _LINALG), (math, _MATH)):
+        found |= {id(getattr(module, n)): f for n, f in mine.items()}
+    makers = {name: _linear(getattr(control, name)) for name in ("ss", "StateSpace")}
+    found |= {id(getattr(control, n)): f for n, f in makers.items()} | {id(control): _Stand(control, makers)}
+    return found
+
+
+def _plain(function: Callable) -> Iterator[types.FunctionType]:
+    """The Python functions behind a callable: of a method, a partial, an object that can be called."""
+    if isinstance(function, functools.partial):
+        yield from _plain(function.func)
+    elif inspect.ismethod(function):
+        yield function.__func__
+    elif inspect.isfunction(function):
+        yield function
+        yield from _plain(getattr(function, "__wrapped__", None))
+    elif callable(function) and not inspect.isclass(function) and inspect.isfunction(type(function).__call__):
+        yield type(function).__call__
+
+
+def _scopes(function: Callable, seen: set[int]) -> Iterator[tuple]:
+    """Global dictionaries and closure cells that the function and its helpers use, installed packages left out."""
+    for f in _plain(function):
+        if id(f) in seen or _foreign(f.__globals__):
+            continue
+        seen.add(id(f))
+        for cell in f.__closure__ or ():
+            try:
+                value = cell.cell_contents
+            except ValueError:
+                continue
+            yield None, cell
+            yield from _scopes(value, seen) if callable(value) else ()
+        if id(f.__globals__) not in seen:
+            seen.add(id(f.__globals__))
+            yield f.__globals__, None
+            for value in list(f.__globals__.values()):
+                yield from _helpers(value, seen)
+
+
+def _helpers(value, seen: set[int]) -> Iterator[tuple]:
+    if isinstance(value, types.ModuleType):
+        if _foreign(vars(value)) or id(vars(value)) in seen:
+            return
+        seen.add(id(vars(value)))
+        yield vars(value), None
+        for inner in list(vars(value).values()):
+            yield from _helpers(inner, seen)
+    elif inspect.isclass(value):
+        for member in vars(value).values():
+            member = member.__func__ if isinstance(member, staticmethod | classmethod) else member
+            yield from _scopes(member, seen) if inspect.isfunction(member) else ()
+    elif inspect.isfunction(value):
+        yield from _scopes(value, seen)
+
+
+def _foreign(scope: dict) -> bool:
+    """Whether a module is no part of the user's simulator: built in, installed, or pwaid's own."""
+    name, file = scope.get("__name__", ""), scope.get("__file__")
+    if name == "__main__":
+        return False
+    return file is None or name.partition(".")[0] == "pwaid" or str(Path(file).resolve()).startswith(_INSTALLED)
+
+
+@contextmanager
+def replaced(function: Callable):
+    """While it lasts, the function and the helpers of its module see the replacements."""
+    stands, undo = _replacements(), []
+    with _LOCK:
+        try:
+            for scope, cell in list(_scopes(function, set())):
+                if cell is not None:
+                    if id(cell.cell_contents) in stands:
+                        undo.append(functools.partial(setattr, cell, "cell_contents", cell.cell_contents))
+                        cell.cell_contents = stands[id(cell.cell_contents)]
+                    continue
+                for key, value in list(scope.items()):
+                    if id(value) in stands:
+                        undo.append(functools.partial(scope.__setitem__, key, value))
+                        scope[key] = stands[id(value)]
+                for key in _BUILTINS.keys() - scope.keys():
+                    undo.append(functools.partial(scope.pop, key))
+                    scope[key] = _BUILTINS[key]
+            yield
+        finally:
+            for step in reversed(undo):
+                step()

@@ -1,0 +1,233 @@
+"""Right-hand sides as engineers write them: compiled by running them on symbols, the same numbers as the originals."""
+
+from __future__ import annotations
+
+import functools
+import math
+from math import sin
+
+import control
+import numpy as np
+import numpy.linalg as la
+import pytest
+
+from pwaid.mismatch.compile_rhs import CompileFailure, compiled_pair
+from pwaid.mismatch.plant import as_plant
+from pwaid.mismatch.symbolic import Tape, TraceFailure
+from pwaid.mismatch.trace import MOST_PATHS, traced
+from pwaid.mismatch.traced_numpy import replaced
+
+DEFAULTS = {"m": 2.0, "b": 0.3, "k": 5.0}
+PLACE, FORCE = np.array([-1.0, 0.0, 0.5, 2.0]), np.array([-2.0, 0.0, 0.3, 4.0])
+
+
+def merged(t, x, u, params):
+    p = {**DEFAULTS, **params}
+    return np.concatenate([x[1:], (u - p["b"] * x[1:] - p["k"] * x[:1]) / p["m"]])
+
+
+def from_a_generator(t, x, u, params):
+    m, b, k = (params.get(n, DEFAULTS[n]) for n in ("m", "b", "k"))
+    A = np.array([[0.0, 1.0], [-k / m, -b / m]])
+    return A @ np.asarray(x) + np.array([[0.0], [1 / m]]) @ np.atleast_1d(u)
+
+
+def filled_in(t, x, u, params):
+    p = dict(DEFAULTS)
+    p.update(params)
+    dx = np.zeros(2, dtype=float)
+    dx[0] = x[1]
+    dx[1] = (float(u[0]) - p["b"] * x[1] * abs(x[1]) - p["k"] * x[0] ** 3) / p["m"]
+    return dx
+
+
+def with_conditions(t, x, u, params):
+    force = params["k"] * max(x[0] - 0.2, 0.0) if x[0] > 0 else params["k"] * np.clip(x[0], -0.5, 0.0)
+    if x[1] > 0.1 and u[0] < 0:
+        force += params["b"] * math.sqrt(x[1])
+    elif not (-0.3 <= x[1] <= 0.1):
+        force -= params["b"]
+    return [x[1], (u[0] - force) / params["m"]]
+
+
+def with_where(t, x, u, params):
+    dry = np.where(np.abs(x) > 0.4, np.sign(x), x / 0.4) * (x[1] > -1.0)
+    return np.array([x[1], u[0] - params["b"] * dry[1] - np.interp(x[0], PLACE, FORCE) + np.hypot(x[0], 1.0)])
+
+
+def mass_matrix(q):
+    return np.array([[3.0 + np.cos(q[1]), 0.2], [0.2, 1.0 + np.sin(q[0]) ** 2]])
+
+
+def solved(t, x, u, params):
+    acceleration = la.solve(mass_matrix(x), np.array([u[0] - params["b"] * x[0], -params["k"] * sin(x[1])]))
+    return acceleration + np.linalg.inv(mass_matrix(x))[0] * np.linalg.det(mass_matrix(x))
+
+
+def indexed(t, x, u, params):
+    return np.sum(x) * x[[1, 0]] - params["b"] * np.linalg.norm(x) + t
+
+
+def loop(t, x, u, params):
+    y = 0.0
+    for _ in range(5):
+        y = y + params["b"] * np.tanh(x[0] + y)
+    return np.array([y, x.dot(x)])
+
+
+class Machine:
+    """A simulator with methods."""
+
+    gain = 1.5
+
+    def __init__(self, **values):
+        self.values = {**DEFAULTS, **values}
+
+    def spring(self, q, p):
+        return p["k"] * sin(q)
+
+    def update(self, t, x, u, params):
+        p = {**self.values, **(params or {})}
+        return [x[1], (self.gain * u[0] - self.spring(x[0], p)) / p["m"]]
+
+    @classmethod
+    def rhs(cls, t, x, u, params):
+        return np.array([x[1], cls.gain * u[0] - params["k"] * x[0]])
+
+    def __call__(self, t, x, u, params):
+        return self.update(t, x, u, params)
+
+
+def scaled(t, x, u, params, factor):
+    return factor * np.array(merged(t, x, u, params))
+
+
+WRITTEN = {f.__name__: f for f in (merged, from_a_generator, filled_in, with_conditions, with_where, solved, indexed,
+                                   loop)} | {
+    "a lambda": lambda t, x, u, params: [x[1], u[0] / params["m"]], "a method": Machine().update,
+    "a class method": Machine.rhs, "an object": Machine(m=3.0), "a partial": functools.partial(scaled, factor=2.0)}
+
+
+@pytest.mark.parametrize("how", WRITTEN)
+def test_what_is_traced_computes_what_the_original_computes(how):
+    function, rng = WRITTEN[how], np.random.default_rng(1)
+    plain, raises = traced(function, 2, 2, 1, {n: i for i, n in enumerate(DEFAULTS)}, {})
+    rhs, *_ = compiled_pair(function, None, (2, 1, 2), DEFAULTS)
+    assert not raises
+    for _ in range(200):
+        t, x, u, p = rng.uniform(0, 9), rng.normal(size=2), rng.normal(size=1), rng.uniform(0.5, 2.0, 3)
+        want = np.asarray(function(t, x, u, dict(zip(DEFAULTS, p, strict=True))), dtype=float).ravel()
+        for computed in (plain, rhs):
+            got = np.empty(2)
+            computed(t, x, u, p, got)
+            np.testing.assert_allclose(got, want, rtol=1e-11, atol=1e-13)
+
+
+def test_the_modules_are_as_they_were_afterwards():
+    before = dict(globals())
+    with replaced(with_conditions):
+        assert globals()["math"] is not math or globals()["np"] is not before["np"]
+    assert globals().keys() == before.keys() and all(globals()[k] is v for k, v in before.items())
+
+    def broken(t, x, u, params):
+        return np.zeros(3) + int(x[0])
+
+    with pytest.raises(TraceFailure):
+        traced(broken, 2, 2, 1, {}, {})
+    assert globals().keys() == before.keys() and all(globals()[k] is v for k, v in before.items())
+
+
+def test_closures_and_imports_inside_build():
+    def build():
+        import numpy as n
+
+        gain = 4.0
+
+        def inner(t, x, u, params):
+            return n.array([gain * n.exp(-x[0]), u[0] * params["b"]])
+
+        return inner
+
+    function = build()
+    plain, _ = traced(function, 2, 2, 1, {"b": 0}, {})
+    got, x, u = np.empty(2), np.array([0.3, 1.0]), np.array([2.0])
+    plain(0.0, x, u, np.array([0.5]), got)
+    np.testing.assert_allclose(got, function(0.0, x, u, {"b": 0.5}), rtol=1e-14)
+    assert function.__closure__[1].cell_contents is np
+
+
+def test_where_the_original_raises_there_is_nan():
+    def guarded(t, x, u, params):
+        if x[0] < 0:
+            raise ValueError("the level is negative")
+        return [np.sqrt(x[0])]
+
+    rhs, _, raises = compiled_pair(guarded, None, (1, 1, 1), {"a": 1.0})
+    got = np.empty(1)
+    rhs(0.0, np.array([-1.0]), np.zeros(1), np.ones(1), got)
+    assert raises and np.isnan(got[0])
+    rhs(0.0, np.array([4.0]), np.zeros(1), np.ones(1), got)
+    assert got[0] == 2.0
+
+
+def test_an_error_that_is_no_raise_statement_is_no_branch():
+    def strange(t, x, u, params):
+        return ["a" + x[0]]
+
+    with pytest.raises(TraceFailure, match="TypeError"):
+        traced(strange, 1, 1, 1, {}, {})
+
+
+def test_memory_between_calls_is_not_compiled():
+    calls = []
+
+    def counting(t, x, u, params):
+        calls.append(1)
+        return [x[0] + len(calls)]
+
+    with pytest.raises(CompileFailure):
+        compiled_pair(counting, None, (1, 1, 1), {"a": 1.0})
+
+
+def test_too_many_ways_through_are_refused():
+    def many(t, x, u, params):
+        return [sum(1.0 if v > k else 2.0 for k, v in enumerate(x))]
+
+    n = int(np.log2(MOST_PATHS)) + 1
+    with pytest.raises(TraceFailure, match="ways through"):
+        traced(many, 1, n, 1, {}, {})
+
+
+def test_one_operation_is_written_once_and_zeros_are_left_out():
+    tape = Tape()
+    a, b = tape.symbol("input", "x[0]"), tape.symbol("input", "x[1]")
+    assert (a * b + 0.0).node == (a * b).node and (1.0 * a).node == a.node and 0.0 * a == 0.0
+
+
+def test_parameters_of_a_linear_system_are_the_arguments_of_build(tmp_path):
+    from pwaid.mismatch.built import with_arguments
+
+    def build(m=2.0, b=0.4, k=8.0):
+        return control.ss([[0, 1], [-k / m, -b / m]], [[0], [1 / m]], [[1, 0]], 0, inputs=["F"], outputs=["x"])
+
+    plant = as_plant(build())
+    assert "A[1,0]" in plant.parameters and with_arguments(plant, build, ["A[1,0]"]) is plant
+    built = with_arguments(plant, build, ["m"])
+    assert dict(built.parameters) == {"m": 2.0, "b": 0.4, "k": 8.0} and built.rhs is not None
+    p, x, u = np.array([3.0, 0.5, 7.0]), np.array([0.3, -0.2]), np.array([1.2])
+    system = build(*p)
+    np.testing.assert_allclose(built.derivative(x, u, p), system.A @ x + system.B @ u, rtol=1e-14)
+    np.testing.assert_allclose(built.outputs(x, u, p), system.C @ x, rtol=1e-14)
+
+
+def test_what_build_cannot_be_traced_through_is_built_again():
+    from pwaid.mismatch.built import with_arguments
+
+    def build(k=2.0, T=0.5):
+        return control.tf([k], [T, 1.0], inputs=["u"], outputs=["y"])
+
+    built = with_arguments(as_plant(build()), build, None)
+    assert dict(built.parameters) == {"k": 2.0, "T": 0.5} and built.rhs is None
+    x = np.array([0.7])
+    assert built.outputs(x, np.zeros(1), np.array([4.0, 0.5]))[0] == pytest.approx(
+        2 * built.outputs(x, np.zeros(1), np.array([2.0, 0.5]))[0])
