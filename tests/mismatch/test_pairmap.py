@@ -64,3 +64,12 @@ def test_too_little_to_look_at_gives_none():
     z = {n: s[:100] for n, s in motion().items()}
     assert examine_pairs(z["x"] * z["u"], np.ones(100), z) is None
     assert examine_pairs(np.zeros(N), np.ones(N), motion()) is None
+
+
+def test_a_variable_that_rests_at_one_value_nearly_always_is_looked_at():
+    z = motion()
+    z["valve"] = np.where(np.arange(N) % 150 == 0, 1.0, 0.0)  # open in less than one per cent of the samples
+    single, _ = look(noisy(np.sign(z["v"])), z)
+    assert single.variable == "v"
+    opened = examine(noisy(50 * z["valve"]), np.ones(N), z, {})
+    assert np.isfinite(opened.ranking["valve"])

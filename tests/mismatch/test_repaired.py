@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from tests_support import oscillator, record
 
+from pwaid.mismatch.built import with_arguments
 from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.effects.registry import CATALOGUE
 from pwaid.mismatch.fit import Fit
@@ -123,6 +124,34 @@ def test_interpolated_inputs_are_followed_as_fitted():
     hypothesis = _hypothesis(held, (law,), data)
     np.testing.assert_allclose(_run_file(hypothesis, PLANTS["oscillator"][0], data), hypothesis.fit.Y, rtol=1e-8,
                                atol=1e-9)
+
+
+def _by_arguments(m=1.1, b=0.5, k=3.2):
+    return control.ss([[0.0, 1.0], [-k / m, -b / m]], [[0.0], [1.0 / m]], [[1.0, 0.0]], 0, inputs=["F"], outputs=["x"])
+
+
+def _curve_by_arguments(b=0.5):
+    def update(t, x, u, params):
+        return [x[1], (u[0] - b * x[1] - params["k"] * np.sinh(x[0])) / params["m"]]
+
+    return control.nlsys(update, lambda t, x, u, params: [x[0]], inputs=["F"], outputs=["x"], states=["x", "v"],
+                         params={"m": 1.1, "k": 3.2})
+
+
+@pytest.mark.parametrize("build", [_by_arguments, _curve_by_arguments])
+def test_parameters_that_build_takes_are_refitted_in_the_file(build):
+    _, data, structure, _ = _setting("oscillator")
+    plant = with_arguments(as_plant(build()), build, ["b", "m"])
+    assert set(plant.parameters) == {"m", "b", "k"} and plant.rhs is not None
+    settings = Settings(plant, structure.partner, structure.ratio, ("b", "m"), np.full(2, 0.3), 2)
+    located = locate_effects(CATALOGUE, find_structure(plant, np.random.default_rng(0).normal(size=(64, 2)), data.U,
+                                                       data.Y, ["N"], ["m"], data.sample_time, 1.6, ("b", "m")))
+    law = next(e for e in located if e.effect.id == "quadratic_drag")
+    hypothesis = _hypothesis(settings, (law,), data)
+    space = {"build": build}
+    exec(compile(repaired_source(hypothesis, data.sample_time, "# nominal simulator"), "repaired.py", "exec"), space)
+    got = space["simulate"](np.arange(len(data.U)) * data.sample_time, data.U, hypothesis.fit.X0[0])
+    np.testing.assert_allclose(got, hypothesis.fit.Y, rtol=1e-8, atol=1e-9)
 
 
 def test_the_law_reads_as_physics():

@@ -55,7 +55,7 @@ def with_arguments(plant: Plant, build: Callable, free: Sequence[str] | None) ->
             return system.C @ x + system.D @ u
         return x if system.outfcn is None else system.outfcn(t, x, u, _inner(system, params, arguments))
 
-    update.__wrapped__ = output.__wrapped__ = build  # whose module is the user's
+    update.runs = output.runs = (build,)
     return checked(Plant(update, output, plant.state_names, plant.input_names, plant.output_names,
                          {**arguments, **own}, plant.constants, dt=plant.dt, source=plant.source, linear=plant.linear,
                          arguments=tuple(arguments)))

@@ -18,7 +18,7 @@ from pwaid.delaunay import SimplexMesh
 from pwaid.lerp import hinge_matrix, interpolation_matrix
 from pwaid.mismatch.mapfit import BLOCKS, heldout_errors, learn_map, linear_block, shifted_copies, time_folds
 
-__all__ = ["LEAST", "SHIFTS", "Bend", "Curve", "Shape", "examine", "map_blocks"]
+__all__ = ["LEAST", "SHIFTS", "Bend", "Curve", "Shape", "examine", "map_blocks", "middle"]
 
 POINTS = 33
 RIDGES = (1e-3, 1e-1)
@@ -69,9 +69,15 @@ class Shape:
     partial: np.ndarray = field(default_factory=lambda: np.zeros(0), repr=False)
 
 
+def middle(z) -> tuple[float, float]:
+    """The range of 98 % of the samples; of all where so many rest at one value, as a valve that opens seldom."""
+    low, high = np.quantile(z, [0.01, 0.99])
+    return (low, high) if high - low > 1e-9 * (1 + np.max(np.abs(z))) else (np.min(z), np.max(z))
+
+
 def _mesh(z) -> tuple[SimplexMesh, np.ndarray]:
     """A grid over 98 % of the samples, symmetric where the variable changes sign evenly; samples clipped to it."""
-    low, high = np.quantile(z, [0.01, 0.99])
+    low, high = middle(z)
     if low < 0 < high and min(-low, high) > 0.4 * max(-low, high):
         low, high = -max(-low, high), max(-low, high)
     return SimplexMesh.grid([[low, high]], POINTS), np.clip(z, low, high)
@@ -179,7 +185,7 @@ def _clusters(curve: Curve) -> np.ndarray:
 
 def _refine(z, y, w, start):
     """Positions of the bends and their changes of slope, by variable projection."""
-    low, high = np.quantile(z, [0.01, 0.99])
+    low, high = middle(z)
     root = np.sqrt(w)
 
     def design(knots):

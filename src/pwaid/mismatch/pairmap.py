@@ -16,7 +16,7 @@ import numpy as np
 from pwaid.delaunay import SimplexMesh
 from pwaid.lerp import hinge_matrix, interpolation_matrix
 from pwaid.mismatch.mapfit import heldout_errors, learn_map, linear_block, shifted_copies, time_folds
-from pwaid.mismatch.microscope import LEAST, SHIFTS, map_blocks
+from pwaid.mismatch.microscope import LEAST, SHIFTS, map_blocks, middle
 from pwaid.pwa_map import PWAMap
 
 __all__ = ["PairShape", "examine_pairs"]
@@ -45,8 +45,8 @@ class PairShape:
 
 def _mesh(z) -> tuple[SimplexMesh, np.ndarray]:
     """Evenly spread vertices over 98 % of the samples of each variable; samples clipped to that box."""
-    low, high = np.quantile(z, [0.01, 0.99], axis=0)
-    return SimplexMesh.blue_noise(np.column_stack([low, high]), VERTICES, 0), np.clip(z, low, high)
+    box = np.array([middle(column) for column in z.T])
+    return SimplexMesh.blue_noise(box, VERTICES, 0), np.clip(z, *box.T)
 
 
 def _design(z, rest):

@@ -216,14 +216,18 @@ def _replacements() -> dict[int, object]:
 
 
 def _plain(function: Callable) -> Iterator[types.FunctionType]:
-    """The Python functions behind a callable: of a method, a partial, an object that can be called."""
+    """The Python functions behind a callable: of a method, a partial, an object that can be called.
+
+    pwaid's own functions list the user's functions that they call as `runs`.
+    """
     if isinstance(function, functools.partial):
         yield from _plain(function.func)
     elif inspect.ismethod(function):
         yield function.__func__
     elif inspect.isfunction(function):
         yield function
-        yield from _plain(getattr(function, "__wrapped__", None))
+        for other in (getattr(function, "__wrapped__", None), *getattr(function, "runs", ())):
+            yield from _plain(other)
     elif callable(function) and not inspect.isclass(function) and inspect.isfunction(type(function).__call__):
         yield type(function).__call__
 
