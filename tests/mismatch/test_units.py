@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import math
+
 import pytest
 
 from pwaid.errors import InputError
-from pwaid.mismatch.units import KNOWN, check_unit, combine, parse_unit, unit_kind
+from pwaid.mismatch.units import KNOWN, check_unit, combine, parse_unit, scaled_unit, unit_kind
 
 
 def test_parse_and_kind():
@@ -34,3 +36,11 @@ def test_prefixes_and_what_is_written_together():
 def test_a_symbol_of_its_own_is_no_prefix():
     assert (KNOWN["h"], KNOWN["T"], KNOWN["cm"], KNOWN["kg"], KNOWN["°C"]) == (
         "time", "field", "length", "mass", "temperature")
+
+
+def test_an_output_that_converts_tells_the_unit_of_its_state():
+    assert scaled_unit("mm", 1e3) == {"m": 1} and scaled_unit("mm", 1.0) == {"mm": 1} and scaled_unit("mm", 7.0) == {}
+    assert scaled_unit("rpm", 30 / math.pi) == {"rad": 1, "s": -1}
+    assert scaled_unit("deg/s", -180 / math.pi) == {"rad": 1, "s": -1}
+    assert scaled_unit("bar", 1e-5) == {"Pa": 1} and scaled_unit("L/min", 6e4) == {"m": 3, "s": -1}
+    assert scaled_unit("degC", 1.0, -273.15) == {"K": 1} and scaled_unit("degC", 1.0) == {"degC": 1}

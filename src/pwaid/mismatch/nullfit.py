@@ -132,7 +132,8 @@ def free_names(plant: Plant, free: Sequence[str] | None) -> tuple[tuple[str, ...
 
 def first_states(plant: Plant, structure_map, data: Dataset) -> np.ndarray:
     """Start states from the outputs: measured states from the first samples, speeds from their slope."""
-    output_state, partner, ratio, units = structure_map
+    shown, partner, ratio, units = structure_map
+    output_state = shown.state
     nx = plant.sizes[0]
     X0 = np.zeros((len(data.segments), nx))
     for g, (a, b, _, _) in enumerate(data.segments):
@@ -141,7 +142,8 @@ def first_states(plant: Plant, structure_map, data: Dataset) -> np.ndarray:
         for k, i in enumerate(output_state):
             if i < 0:
                 continue
-            slope, level = np.polyfit(tt, data.Y[a:a + m, k], 1) if m > 2 else (0.0, data.Y[a, k])
+            measured = shown.state_of(k, data.Y[a:a + m, k])
+            slope, level = np.polyfit(tt, measured, 1) if m > 2 else (0.0, measured[0])
             X0[g, i] = level
             j = partner[i]
             if j >= 0 and j not in output_state:
@@ -149,7 +151,7 @@ def first_states(plant: Plant, structure_map, data: Dataset) -> np.ndarray:
         for i in range(nx):  # an unmeasured position starts with the first measured one of its unit
             if partner[i] >= 0 and i not in output_state:
                 alike = [k for k, s in enumerate(output_state) if s >= 0 and partner[s] >= 0 and units[s] == units[i]]
-                X0[g, i] = data.Y[a, alike[0]] if alike else 0.0
+                X0[g, i] = X0[g, output_state[alike[0]]] if alike else 0.0
     return X0
 
 
@@ -255,7 +257,7 @@ def prepare(plant: Plant, train: Dataset, test: Dataset, input_units, output_uni
     ranges = np.maximum(ranges, plant.start_sizes)
     for k, i in enumerate(rough.output_state):
         if i >= 0:
-            ranges[i] = np.max(np.abs(train.Y[:, k])) + 1e-9
+            ranges[i] = np.max(np.abs(rough.shown.state_of(k, train.Y[:, k]))) + 1e-9
     nominal = fit_starts(model, coarse, scale, theta, X0, ranges, 12)
     first = _null(model, coarse, scale, nominal, ranges, rough.time_scale)
     fits, whole = (first, nominal), None
@@ -346,7 +348,7 @@ def _state_cloud(plant, rough, train):
     states = np.zeros((len(train.U), plant.sizes[0]))
     for k, i in enumerate(rough.output_state):
         if i >= 0:
-            states[:, i] = train.Y[:, k]
+            states[:, i] = rough.shown.state_of(k, train.Y[:, k])
     return states
 
 

@@ -13,8 +13,8 @@ import numpy as np
 
 from pwaid.errors import InputError
 from pwaid.mismatch.plant import Plant
-from pwaid.mismatch.structure import Structure
-from pwaid.mismatch.units import combine, parse_unit, unit_kind
+from pwaid.mismatch.structure import OutputMap, Structure
+from pwaid.mismatch.units import KNOWN, combine, parse_unit, scaled_unit, unit_kind
 
 __all__ = ["find_structure"]
 
@@ -48,18 +48,18 @@ def find_structure(plant: Plant, states, inputs, outputs, input_units, output_un
     rng = np.random.default_rng(0)
     points = _points(plant, rng, low, high, rms_u)
     partner, ratio = _kinematics(plant, points, low, high)
-    output_state, gains = _output_map(plant, points, low, high)
+    shown = _output_map(plant, points)
     in_units = tuple(parse_unit(u) for u in input_units)
     out_units = tuple(parse_unit(u) for u in output_units)
     units = [{} for _ in range(nx)]
     kinds = [""] * nx
-    for k, i in enumerate(output_state):
-        if i >= 0 and abs(gains[k] - 1) < 1e-6:
-            units[i] = out_units[k]
+    for k, i in enumerate(shown.state):
+        if i >= 0 and not units[i]:
+            units[i] = scaled_unit(output_units[k], shown.gain[k], shown.offset[k])
     _drop_impossible(units, partner, ratio)
     _spread_units(units, partner)
     for i in range(nx):
-        kinds[i] = _kind_of(i, plant, partner, units, output_state, output_units)
+        kinds[i] = _kind_of(i, plant, partner, units, shown.state, output_units)
     _guess_stores(kinds, plant, points, high)
     default_angle = any(unit_kind(u) == "torque" for u in input_units)
     for i in range(nx):
@@ -81,7 +81,7 @@ def find_structure(plant: Plant, states, inputs, outputs, input_units, output_un
     return Structure(
         plant, tuple(kinds), partner, ratio, entry, scale, tuple(units), funits, iunits, low, high, rms_u,
         np.max(np.abs(inputs), axis=0) if nu else np.zeros(0), in_units, np.min(outputs, axis=0),
-        np.max(outputs, axis=0), out_units, output_state, time_scale, float(length), tuple(free), mobility,
+        np.max(outputs, axis=0), out_units, shown, time_scale, float(length), tuple(free), mobility,
         _hook_scale(plant, inputs, outputs))
 
 
@@ -164,18 +164,21 @@ def _kinematics(plant, points, low, high):
     return partner, ratio
 
 
-def _output_map(plant, points, low, high):
-    ny = plant.sizes[2]
+def _output_map(plant, points) -> OutputMap:
+    """The state each output shows, y = gain x + offset; -1 where it shows none alone."""
     G = np.array([plant.outputs(x, u) for x, u in points])
     Xs = np.array([x for x, _ in points])
-    found, gains = [-1] * ny, [0.0] * ny
-    for k in range(ny):
-        for i in range(Xs.shape[1]):
-            c = G[:, k] @ Xs[:, i] / max(Xs[:, i] @ Xs[:, i], 1e-300)
-            if np.any(G[:, k]) and np.allclose(G[:, k], c * Xs[:, i], rtol=1e-9,
-                                               atol=1e-12 * np.max(np.abs(G[:, k]))):
-                found[k], gains[k] = i, c
-    return tuple(found), gains
+    state, gains, offsets = [-1] * plant.sizes[2], [1.0] * plant.sizes[2], [0.0] * plant.sizes[2]
+    for k, y in enumerate(G.T):
+        for i, x in enumerate(Xs.T):
+            if not (np.ptp(x) > 0 and np.ptp(y) > 0):
+                continue
+            gain = float((y - y.mean()) @ (x - x.mean()) / ((x - x.mean()) @ (x - x.mean())))
+            offset = float(y.mean() - gain * x.mean())
+            offset = 0.0 if abs(offset) < 1e-9 * np.max(np.abs(y)) else offset
+            if np.allclose(y, gain * x + offset, rtol=1e-9, atol=1e-12 * np.max(np.abs(y))):
+                state[k], gains[k], offsets[k] = i, gain, offset
+    return OutputMap(tuple(state), tuple(gains), tuple(offsets))
 
 
 def _drop_impossible(units, partner, ratio):
@@ -292,7 +295,7 @@ def _force_entries(plant, kinds, points, low, high, rms_u, input_units, units):
                    if np.any(base[:, i]) and np.allclose(2 * h[:, i], base[:, i], rtol=1e-9, atol=1e-14)]
         forces = [j for j in range(nu) if unit_kind(input_units[j]) in ("force", "torque") and gain[i, j] != 0
                   and affine[i, j]]
-        angular = any(s in units[i] for s in ("rad", "deg", "rev", "mrad"))
+        angular = any(KNOWN[s] == "angle" for s in units[i])
         funits[i] = {"N": 1, "m": 1} if angular else {"N": 1}
         iunits[i] = {"kg": 1, "m": 2} if angular else {"kg": 1}
         if inertia:

@@ -14,9 +14,22 @@ import numpy as np
 from pwaid.mismatch.effects.base import Place
 from pwaid.mismatch.inertia import shown_inertia
 from pwaid.mismatch.plant import Plant
-from pwaid.mismatch.units import parse_unit
+from pwaid.mismatch.units import KNOWN, factor_of, parse_unit
 
-__all__ = ["Structure"]
+__all__ = ["OutputMap", "Structure"]
+
+
+@dataclass(frozen=True)
+class OutputMap:
+    """The state that each output shows alone, y = gain x + offset; -1 where it shows none."""
+
+    state: tuple[int, ...]
+    gain: tuple[float, ...]
+    offset: tuple[float, ...]
+
+    def state_of(self, k: int, y) -> np.ndarray:
+        """The state behind readings y of output k."""
+        return (y - self.offset[k]) / self.gain[k]
 
 
 @dataclass(frozen=True)
@@ -40,7 +53,7 @@ class Structure:
     output_low: np.ndarray
     output_high: np.ndarray
     output_units: tuple[dict, ...]
-    output_state: tuple[int, ...]
+    shown: OutputMap
     time_scale: float
     length: float
     free: tuple[str, ...]
@@ -49,9 +62,14 @@ class Structure:
 
     # ------------------------------------------------------------------ helpers
     @property
+    def output_state(self) -> tuple[int, ...]:
+        """The state that each output shows, -1 where it shows none alone."""
+        return self.shown.state
+
+    @property
     def start_map(self) -> tuple:
         """What `first_states` needs: states of the outputs, speeds of the positions, their ratios, units."""
-        return self.output_state, self.partner, self.ratio, self.state_units
+        return self.shown, self.partner, self.ratio, self.state_units
 
     def position_of(self, v: int) -> int:
         found = [i for i in range(len(self.partner)) if self.partner[i] == v]
@@ -139,10 +157,9 @@ class Structure:
         places = []
         for place in self.positions():
             symbols = self.state_units[place.ii[5]]
-            if "m" in symbols or "mm" in symbols:
+            if any(KNOWN[s] == "length" for s in symbols):
                 continue
-            factor = {"deg": np.pi / 180, "rev": 2 * np.pi, "mrad": 1e-3}
-            constant = next((factor[s] for s in symbols if s in factor), 1.0)
+            constant = next((factor_of(s) for s in symbols if KNOWN[s] == "angle"), 1.0)
             if self.reach(place.ii[5]) * constant > 0.05:
                 places.append(self._with_constants(place, (constant,)))
         return places
@@ -212,15 +229,14 @@ class Structure:
                 continue
             ii = self._force_ii(v)
             places.append(self._place("state", self.plant.state_names[v], [self.plant.state_names[x]], ii,
-                                      v=v, x=x,
-                                      note="motor side measured"))
+                                      v=v, x=x, constants=(1.0,), note="motor side measured"))
             for k, state in enumerate(self.output_state):
                 if state in (x, v):
                     jj = list(ii)
                     jj[7], jj[10], jj[11] = k, 1, int(state == v)
                     places.append(self._place("state", self.plant.state_names[v],
-                                              [self.plant.state_names[x]], jj, v=v,
-                                              x=x, note="load side measured"))
+                                              [self.plant.state_names[x]], jj, v=v, x=x,
+                                              constants=(self.shown.gain[k],), note="load side measured"))
         return places
 
     def inertias(self) -> list[Place]:

@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import math
 import re
 
 from pwaid.errors import InputError
 
-__all__ = ["KNOWN", "check_unit", "combine", "parse_unit", "unit_kind"]
+__all__ = ["KNOWN", "check_unit", "combine", "factor_of", "parse_unit", "scaled_unit", "unit_kind"]
 
 _KINDS = {
     "angle": ("rad", "deg", "°", "rev", "turn", "arcmin", "arcsec"), "length": ("m", "in", "ft"),
@@ -17,11 +18,20 @@ _KINDS = {
     "field": ("T",), "capacitance": ("F",),
     "plain": ("1", "-", "%", "", "counts", "count", "pu", "rpm", "ticks", "lsb"),
 }
-_PREFIXES = ("p", "n", "u", "µ", "m", "c", "h", "k", "M", "G")
+_PREFIXES = {"p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "c": 1e-2, "h": 1e2, "k": 1e3, "M": 1e6, "G": 1e9}
 _PREFIXED = ("rad", "m", "N", "V", "A", "K", "Pa", "bar", "g", "s", "W", "l", "L", "Ah", "J", "Wh", "Hz", "Ohm", "ohm",
              "Ω", "H", "T", "F")
 KNOWN = {symbol: kind for kind, symbols in _KINDS.items() for symbol in symbols}
 KNOWN = {prefix + symbol: KNOWN[symbol] for symbol in _PREFIXED for prefix in _PREFIXES} | KNOWN
+# what one of them is in the SI unit of its kind, where that is not 1
+_SIZES = {"deg": math.pi / 180, "°": math.pi / 180, "rev": 2 * math.pi, "turn": 2 * math.pi,
+          "arcmin": math.pi / 10800, "arcsec": math.pi / 648000, "in": 0.0254, "ft": 0.3048, "lbf": 4.4482216,
+          "kgf": 9.80665, "degF": 5 / 9, "bar": 1e5, "psi": 6894.757, "g": 1e-3, "t": 1e3, "lb": 0.45359237,
+          "min": 60.0, "h": 3600.0, "d": 86400.0, "hp": 745.7, "l": 1e-3, "L": 1e-3, "Ah": 3600.0, "Wh": 3600.0}
+_SI = {"angle": ("rad", 1), "length": ("m", 1), "force": ("N", 1), "voltage": ("V", 1), "current": ("A", 1),
+       "temperature": ("K", 1), "pressure": ("Pa", 1), "mass": ("kg", 1), "time": ("s", 1), "power": ("W", 1),
+       "volume": ("m", 3), "charge": ("As", 1), "energy": ("J", 1), "frequency": ("Hz", 1), "resistance": ("Ohm", 1),
+       "inductance": ("H", 1), "field": ("T", 1), "capacitance": ("F", 1)}
 _TOGETHER = {prefix + text: (prefix + "N", *text[1:]) for text in ("Nm", "Nms", "Ns") for prefix in ("", *_PREFIXES)}
 _TOKEN = re.compile(r"([A-Za-zµ°Ω%]+|1|-)(?:\^|\*\*)?(-?\d+)?")
 
@@ -83,6 +93,31 @@ def unit_kind(text: str) -> str:
     if len(key) == 1 and key[0][1] == 1:
         return table.get(key, key[0][0])
     return table.get(key, "other")
+
+
+def factor_of(symbol: str) -> float:
+    """What one of it is in the SI unit of its kind: 1e-3 for mm, π/180 for deg."""
+    explicit = any(symbol in symbols for symbols in _KINDS.values())
+    prefix, rest = ("", symbol) if explicit else (symbol[0], symbol[1:])
+    return _PREFIXES.get(prefix, 1.0) * _SIZES.get(rest, 1.0)
+
+
+def scaled_unit(text: str, gain: float, offset: float = 0.0) -> dict[str, int]:
+    """The unit of x where y = gain x + offset has the unit `text`: SI where the gain converts, {} where it does not."""
+    powers = parse_unit(text)
+    kelvin = offset and unit_kind(text) == "temperature"  # an absolute temperature, read in another scale
+    if abs(gain - 1) < 1e-6 and not kelvin:
+        return powers
+    size = math.prod(factor_of(s) ** n for s, n in powers.items())
+    if not powers and "rpm" in text:
+        powers, size = {"rad": 1, "s": -1}, 2 * math.pi / 60
+    if abs(size * abs(gain) - 1) > 1e-3:
+        return {}
+    found: dict[str, int] = {}
+    for symbol, n in powers.items():
+        base, exponent = _SI[KNOWN[symbol]]
+        found[base] = found.get(base, 0) + n * exponent
+    return found
 
 
 def combine(base: dict[str, int], *others: tuple[dict[str, int], int]) -> str:

@@ -31,7 +31,8 @@ def gap_to_hidden_load(phase, t, h, x, xs, u, p, dx, ii, q):
     """A share of the inertia hangs on the shaft through a gap and a contact spring.
 
     Extra states: twist (load behind motor) and its rate. q: half_gap, load_share, contact frequency
-    (rad/s of the contact spring on the load), damping ratio; variant 1: the load side is measured.
+    (rad/s of the contact spring on the load), damping ratio, the output per unit of its state; variant 1: the load
+    side is measured.
     """
     e = ii[0]
     twist, rate = x[e], x[e + 1]
@@ -53,11 +54,12 @@ def gap_to_hidden_load(phase, t, h, x, xs, u, p, dx, ii, q):
         dx[e] = rate
         dx[e + 1] = a - pull
     elif phase == 3 and ii[10] == 1:
-        dx[ii[7]] -= twist
+        dx[ii[7]] -= q[4] * (rate if ii[11] == 1 else twist)
 
 
 def hidden_mode(phase, t, h, x, xs, u, p, dx, ii, q):
-    """A share of the inertia hangs on a spring: q = load_share, frequency (rad/s), damping ratio."""
+    """A share of the inertia hangs on a spring: q = load_share, frequency (rad/s), damping ratio, the output per unit
+    of its state; variant 1: the load side is measured."""
     e = ii[0]
     twist, rate = x[e], x[e + 1]
     pull = q[1] * q[1] * twist + 2.0 * q[2] * q[1] * rate
@@ -68,7 +70,7 @@ def hidden_mode(phase, t, h, x, xs, u, p, dx, ii, q):
         dx[e] = rate
         dx[e + 1] = a - pull
     elif phase == 3 and ii[10] == 1:
-        dx[ii[7]] -= rate if ii[11] == 1 else twist
+        dx[ii[7]] -= q[3] * (rate if ii[11] == 1 else twist)
 
 
 def inertia(phase, t, h, x, xs, u, p, dx, ii, q):
