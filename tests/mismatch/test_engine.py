@@ -94,3 +94,35 @@ def test_every_effect_vanishes_towards_its_neutral_value():
         theta = np.concatenate([np.zeros(3), located.internal(multiples)])
         Y, _ = Model(settings(), (located,)).simulate(theta, np.zeros((1, 2)), DATA)
         assert np.max(np.abs(Y - base)) < 5e-3 * np.max(np.abs(base)), located.label
+
+
+def _law(name):
+    return next(e for e in locate_effects(CATALOGUE, structure()) if e.effect.id == name)
+
+
+def _run(laws, values, U=None, plant=PLANT):
+    """Outputs with these laws, their parameters given in their units."""
+    data = DATA if U is None else replace(DATA, U=U)
+    z = [law.from_physical(v) for law, v in zip(laws, values, strict=True)]
+    model = Model(replace(settings(), plant=plant), tuple(laws))
+    return model.simulate(np.concatenate([np.zeros(3), *z]), np.zeros((1, 2)), data)[0]
+
+
+@pytest.mark.parametrize("plant", [PLANT, replace(PLANT, rhs=None, out=None)])
+@pytest.mark.parametrize("name", ["actuator_lag", "input_play", "actuator_rate_limit"])
+def test_a_law_with_memory_follows_the_one_before_it(name, plant):
+    clip, memory = _law("actuator_saturation"), _law(name)
+    size = [0.15] if name != "actuator_rate_limit" else [4.0]
+    both = _run((clip, memory), ([0.8], size), plant=plant)
+    np.testing.assert_allclose(both, _run((memory,), (size,), np.clip(DATA.U, -0.8, 0.8)), rtol=1e-9, atol=1e-12)
+    assert np.max(np.abs(both - _run((memory,), (size,)))) > 1e-2
+    assert np.max(np.abs(both - _run((memory, clip), (size, [0.8]), plant=plant))) > 1e-3
+
+
+@pytest.mark.parametrize("plant", [PLANT, replace(PLANT, rhs=None, out=None)])
+def test_a_force_through_an_input_is_no_command(plant):
+    load, lag = _law("constant_load"), _law("actuator_lag")
+    through = replace(load, place=replace(load.place, ii=(load.place.ii[0], 0, 0, *load.place.ii[3:])))
+    want = _run((load, lag), ([0.4], [0.2]))
+    for laws, values in (((through, lag), ([0.4], [0.2])), ((lag, through), ([0.2], [0.4]))):
+        np.testing.assert_allclose(_run(laws, values, plant=plant), want, rtol=1e-9, atol=1e-12)

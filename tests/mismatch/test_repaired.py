@@ -107,7 +107,9 @@ def test_the_file_simulates_every_law_as_the_engine_does(name):
 
 
 @pytest.mark.parametrize("ids", [("coulomb_friction", "input_play"), ("actuator_lag", "presliding_friction"),
-                                 ("input_delay", "coulomb_friction"), ("coulomb_friction", "sensor_lag")])
+                                 ("input_delay", "coulomb_friction"), ("coulomb_friction", "sensor_lag"),
+                                 ("actuator_saturation", "actuator_lag"), ("actuator_lag", "actuator_rate_limit"),
+                                 ("constant_load", "input_play")])
 def test_pairs_keep_their_memories_apart(ids):
     _, data, structure, settings = _setting("oscillator")
     everywhere = locate_effects(CATALOGUE, structure)

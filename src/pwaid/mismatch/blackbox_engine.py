@@ -67,7 +67,7 @@ def simulate_black_box(model, p, Q, delay, X0, data, limit: float):
 def _one(model, box, U, p, Q, delay, moved, Ts, lead, limit):
     P, x = np.repeat(p[None], len(U), axis=0), np.zeros(model.nx + model.extra)
     ports = np.zeros(U.shape[1])
-    for k, e in enumerate(model.located):
+    for k, e in enumerate(model.acting):
         if e.place.kind == "output":
             continue
         ports[:len(delay)] = delay if e.effect.delays else 0.0
@@ -82,7 +82,7 @@ def _one(model, box, U, p, Q, delay, moved, Ts, lead, limit):
     if y is None or not np.all(np.abs(y) <= limit):
         return np.full((len(U) - lead, len(box.outputs)), limit)
     y = y.copy()
-    for k, e in enumerate(model.located):
+    for k, e in enumerate(model.acting):
         if e.place.kind == "output":
             _behind(model.kernels[k], y, U, Ts, x, P, model.II[k], Q[k])
     return y[lead:]

@@ -172,6 +172,7 @@ def _loop(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, dis
         if proximal[e] > 0:
             any_prox = True
     p0, p1, p2 = proximal[0] > 0, proximal[1] > 0, proximal[2] > 0
+    chained = ne > 1 and II[0, 8] >= 0 and II[1, 8] >= 0
     for g in range(segments.shape[0]):
         first, last = segments[g, 0], segments[g, 1]
         begin, end = segments[g, 2], segments[g, 3]  # the recording's samples: history of delayed inputs
@@ -227,10 +228,23 @@ def _loop(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, dis
                             _mobility(rhs, ts, x, u, p, m2, i2, h2, toth, us, xsh)
                         if ne > 0:
                             e0(0, ts, hh, x, xs, u, p, k, i0, q0)
-                        if ne > 1:
-                            e1(0, ts, hh, x, xs, u, p, k, i1, q1)
-                        if ne > 2:
-                            e2(0, ts, hh, x, xs, u, p, k, i2, q2)
+                        if chained:  # a law behind another one at an input follows what that one lets through
+                            for i in range(nt):
+                                xs[i] = x[i]
+                            for j in range(nu):
+                                us[j] = u[j]
+                            for j in range(n_p):
+                                ps[j] = p[j]
+                            e0(1, ts, hh, x, xs, us, ps, k, i0, q0)
+                            e1(0, ts, hh, x, xs, us, p, k, i1, q1)
+                            if ne > 2:
+                                e1(1, ts, hh, x, xs, us, ps, k, i1, q1)
+                                e2(0, ts, hh, x, xs, us, p, k, i2, q2)
+                        else:
+                            if ne > 1:
+                                e1(0, ts, hh, x, xs, u, p, k, i1, q1)
+                            if ne > 2:
+                                e2(0, ts, hh, x, xs, u, p, k, i2, q2)
                         for i in range(nt):
                             before[i] = x[i]
                             total[i] = 0.0

@@ -14,7 +14,7 @@ from pwaid.mismatch.engine import idle, simulate_segments, simulate_variants
 from pwaid.mismatch.plant import Plant
 from pwaid.mismatch.slow_engine import Variant, simulate_columns
 
-__all__ = ["Located", "Model", "Settings"]
+__all__ = ["Located", "Model", "Settings", "acting_order"]
 
 LIMIT = 1e9
 REACH = 3.0  # tolerances (on the logarithmic axis) that a nominal parameter may move: it may have been tuned bent
@@ -107,8 +107,18 @@ class Settings:
     feedback: bool = False  # the recordings come from a closed loop
 
 
+def acting_order(located) -> list[int]:
+    """The order in which laws act: those at an input before forces, which may enter through the same input, as found
+    otherwise."""
+    return sorted(range(len(located)), key=lambda k: located[k].place.kind != "input")
+
+
 class Model:
-    """The plant with `located` effects (at most three), ready to simulate."""
+    """The plant with `located` effects (at most three), ready to simulate.
+
+    `acting` are the effects in the order in which they act; `kernels`, `II`, `proximal` and the rows of Q follow it,
+    parameters follow `located`.
+    """
 
     def __init__(self, settings: Settings, located: tuple[Located, ...] = (), substeps: int | None = None):
         self.settings, self.located = settings, tuple(located)
@@ -121,16 +131,19 @@ class Model:
         self.positions = np.array([list(plant.parameters).index(n) for n in settings.free], dtype=int)
         self.np, self.nz = len(self.positions), sum(e.size for e in self.located)
         self.extra = sum(e.effect.extra_states for e in self.located)
-        self.kernels = [e.effect.compiled() for e in self.located] + [idle] * (3 - len(self.located))
+        self.order = acting_order(self.located)
+        self.acting = tuple(self.located[k] for k in self.order)
+        self.kernels = [e.effect.compiled() for e in self.acting] + [idle] * (3 - len(self.acting))
         rows, offset = [], self.nx
-        for e in self.located:
+        for e in self.acting:
             ii = list(e.place.ii)
             ii[0] = offset
             offset += e.effect.extra_states
             rows.append(ii)
         self.II = np.array(rows + [[0] * 12] * (3 - len(rows)), dtype=np.int64)
-        self.width = max([len(e.effect.quantities) + len(e.place.constants) for e in self.located] + [1])
-        self.proximal = np.array([int(e.effect.proximal) for e in self.located] + [0] * (3 - len(self.located)))
+        self.chained = len(rows) > 1 and min(rows[0][8], rows[1][8]) >= 0
+        self.width = max([len(e.effect.quantities) + len(e.place.constants) for e in self.acting] + [1])
+        self.proximal = np.array([int(e.effect.proximal) for e in self.acting] + [0] * (3 - len(self.acting)))
         delayed = [int(e.place.ii[8]) for e in self.located if e.effect.delays]
         self.delayed = delayed[0] if delayed else -1
 
@@ -181,7 +194,7 @@ class Model:
     def laws(self, parts, n_inputs: int) -> tuple[np.ndarray, np.ndarray]:
         """Parameters and constants of the effects (3, width), and the delay of every input in seconds."""
         Q, delay = np.zeros((3, self.width)), np.zeros(n_inputs)
-        for k, (e, values) in enumerate(zip(self.located, parts, strict=True)):
+        for k, (e, values) in enumerate(zip(self.acting, [parts[i] for i in self.order], strict=True)):
             row = np.concatenate([values, e.place.constants])
             Q[k, :row.size] = row
             if e.effect.delays:
@@ -192,7 +205,7 @@ class Model:
         """(n_segments, nx + extra) start states, the effects' memory included, for first inputs U0 (n_segments, nu)."""
         start = np.zeros((len(X0), self.nx + self.extra))
         start[:, :self.nx] = X0
-        for k, e in enumerate(self.located):
+        for k, e in enumerate(self.acting):
             o = self.II[k, 0]
             if e.effect.start == "input":
                 start[:, o:o + e.effect.extra_states] = U0[:, self.II[k, 8]][:, None]

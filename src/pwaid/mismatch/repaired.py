@@ -73,7 +73,7 @@ def _build_text(plant: Plant) -> str:
 def _laws(hypothesis: Hypothesis) -> list[Law]:
     model, laws = hypothesis.fit.model, []
     for k, (e, values) in enumerate(zip(model.located, hypothesis.values(), strict=True)):
-        laws.append(law_functions(e, model.II[k], values, model.settings.plant, _memory_names(model),
+        laws.append(law_functions(e, model.II[model.order.index(k)], values, model.settings.plant, _memory_names(model),
                                   [law.name for law in laws]))
     return laws
 
@@ -140,8 +140,20 @@ def _calls(laws, role: str, arguments: str, indent: int) -> str:
     return "".join(f"{' ' * indent}{law.call(role, arguments)}\n" for law in laws if role in law.functions)
 
 
+def _memory_calls(laws, chained: bool) -> str:
+    """The calls that update memories; `chained`, a law at an input follows what the one before it lets through."""
+    if not chained:
+        return _calls(laws, "memory", "t, h, state, inputs, params", 8)
+    lines = "        passed = inputs.copy()\n"
+    for law in laws:
+        lines += _calls([law], "memory", "t, h, state, passed, params", 8)
+        lines += _calls([law], "seen", "t, h, state, state.copy(), passed, dict(params)", 8)
+    return lines
+
+
 def _simulator(model: Model, laws) -> str:
     plant, s = model.settings.plant, model.settings
+    laws = [laws[k] for k in model.order]
     dry = [law for law in laws if law.located.effect.proximal]
     delayed = [law for law in laws if law.located.effect.delays]
     seen = _calls(laws, "seen", "t, {h}, state, seen, inputs, params", 8)
@@ -151,7 +163,7 @@ def _simulator(model: Model, laws) -> str:
         "SEEN_AT_SAMPLE": "        seen = state.copy()\n" + seen.replace("{h}", "0.0") if seen else "",
         "RATES": _calls(laws, "rates", "t, h, state, inputs, params, rates", 8),
         "SENSORS": _calls(laws, "sensor", "t, SAMPLE_TIME, state, inputs, params, outputs", 8),
-        "MEMORY_CALLS": _calls(laws, "memory", "t, h, state, inputs, params", 8),
+        "MEMORY_CALLS": _memory_calls(laws, model.chained),
     }
     text = parts.PLANT
     if dry:
@@ -192,7 +204,7 @@ def _dry(laws, parameters) -> str:
 
 def _simulate(model: Model) -> str:
     starts = []
-    for k, e in enumerate(model.located):
+    for k, e in enumerate(model.acting):
         first, count = int(model.II[k, 0]), e.effect.extra_states
         if e.effect.start == "input":
             starts.append(f"    state[{first}:{first + count}] = u[0, {int(model.II[k, 8])}]\n")

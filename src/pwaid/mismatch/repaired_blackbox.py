@@ -54,7 +54,8 @@ def _law_rows(hypothesis: Hypothesis, where=lambda located: True) -> list[str]:
     """One line of text for every law: function, integers, parameters, dry friction?, start of memory, delay."""
     model = hypothesis.fit.model
     rows = []
-    for k, (e, values) in enumerate(zip(model.located, model.parts(hypothesis.fit.theta), strict=True)):
+    parts = model.parts(hypothesis.fit.theta)
+    for k, (e, values) in enumerate(zip(model.acting, [parts[i] for i in model.order], strict=True)):
         if where(e):
             q = np.concatenate([values, e.place.constants])
             rows.append(f"    ({_law_name(e)}, {model.II[k].tolist()}, np.array({q.tolist()!r}), "

@@ -68,6 +68,14 @@ class _Columns:
         for e in range(len(self.model.located)) if only is None else only:
             self.kernels[e](phase, t, h, X, XS, U, P, DX, self.model.II[e], self.Q[e], chosen)
 
+    def remember(self, t, h, X, U):
+        """Advance the laws' memories by h; a law behind another one at an input follows what that one lets through."""
+        XS, US, PS, DX = X.copy(), U.copy(), self.P.copy(), np.zeros_like(X)
+        for e in range(len(self.model.located)):
+            self.effects(0, t, h, X, XS, US, self.P, DX, only=(e,))
+            if self.model.chained:
+                self.effects(1, t, h, X, XS, US, PS, DX, only=(e,))
+
     def rates(self, t, h, X, U, mobility, sliding):
         XS, US, PS, DX = X.copy(), U.copy(), self.P.copy(), np.zeros_like(X)
         self.effects(1, t, h, X, XS, US, PS, DX)
@@ -100,7 +108,7 @@ class _Columns:
         """Advance copies of X by h: memory, one Runge-Kutta step, dry friction inside it (sliding) or after it."""
         model, X = self.model, X.copy()
         mobility = {e: self.mobility(t, X, U, model.II[e]) for e in self.dry}
-        self.effects(0, t, h, X, X.copy(), U, self.P, np.zeros_like(X))
+        self.remember(t, h, X, U)
         before = X.copy()
         k1 = self.rates(t, h, X, U, mobility, sliding)
         if self.plant.dt:
