@@ -228,15 +228,18 @@ class Structure:
             if x < 0:
                 continue
             ii = self._force_ii(v)
+            # a shaft that turns on and on has gaps of the size it moves in a time constant, not of its whole travel
+            near = {"position": min(self.reach(x), self.reach(v) * self.time_scale)}
             places.append(self._place("state", self.plant.state_names[v], [self.plant.state_names[x]], ii,
-                                      v=v, x=x, constants=(1.0,), note="motor side measured"))
+                                      v=v, x=x, constants=(1.0,), scales=near, note="motor side measured"))
             for k, state in enumerate(self.output_state):
                 if state in (x, v):
                     jj = list(ii)
                     jj[7], jj[10], jj[11] = k, 1, int(state == v)
                     places.append(self._place("state", self.plant.state_names[v],
                                               [self.plant.state_names[x]], jj, v=v, x=x,
-                                              constants=(self.shown.gain[k],), note="load side measured"))
+                                              constants=(self.shown.gain[k],), scales=near,
+                                              note="load side measured"))
         return places
 
     def inertias(self) -> list[Place]:

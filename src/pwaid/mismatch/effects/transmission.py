@@ -86,7 +86,7 @@ EFFECTS = (
            lambda s: s.shafts(), ("actuator_deadzone", "input_play", "coulomb_friction"),
            "reverse the load at rest with both encoders; a constant preload makes it vanish", memory=True),
     Effect("backlash", "transmission", "the load hangs on the motor through a gap of +-half_gap",
-           (Quantity("half_gap", "position", 1e-4, 0.9, (0.02, 0.1)),
+           (Quantity("half_gap", "position", 1e-4, 3.0, (0.02, 0.1)),
             Quantity("load_share", "1", 0.05, 0.95, (0.5,)),
             Quantity("contact_frequency", "rate", 0.5, 40.0, (8.0,)),
             Quantity("damping_ratio", "1", 0.01, 2.0, (0.3,))),
