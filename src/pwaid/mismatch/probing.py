@@ -7,6 +7,7 @@ outputs and spread along the kinematic chain.
 
 from __future__ import annotations
 
+import math
 from itertools import permutations
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy as np
 from pwaid.errors import InputError
 from pwaid.mismatch.plant import Plant
 from pwaid.mismatch.structure import OutputMap, Structure
-from pwaid.mismatch.units import KNOWN, combine, parse_unit, scaled_unit, unit_kind
+from pwaid.mismatch.units import KNOWN, combine, factor_of, parse_unit, scaled_unit, unit_kind
 
 __all__ = ["find_structure"]
 
@@ -298,7 +299,8 @@ def _force_entries(plant, kinds, points, low, high, rms_u, input_units, units):
         angular = any(KNOWN[s] == "angle" for s in units[i])
         funits[i] = {"N": 1, "m": 1} if angular else {"N": 1}
         iunits[i] = {"kg": 1, "m": 2} if angular else {"kg": 1}
-        if inertia:
+        converted = abs(math.prod(factor_of(s) ** n for s, n in units[i].items()) - 1) > 1e-3
+        if inertia and not (forces and converted):  # of a speed in mm/s, force over inertia is not in its unit
             entry[i] = (1, i, inertia[0])
             mobility[i] = 1.0 / p[inertia[0]]
         elif forces:
