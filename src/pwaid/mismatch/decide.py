@@ -292,7 +292,7 @@ def _name(problem, best, passed, t, rng, reasons) -> Decision:
         reasons.append(f"the inputs still predict {100 * float(np.max(rest)):.0f} % of what {best.label} leaves: "
                        "something more is missing")
     for h in sorted(passed, key=_score):
-        if h is best or sorted(h.ids) == sorted(best.ids) or len(members) >= 3:
+        if len(members) >= 3 or any(sorted(h.ids) == sorted(m.ids) for m in members):
             continue
         if _inside(h, best) or _inside(best, h):
             continue
