@@ -17,6 +17,7 @@ from pwaid.mismatch.screen import Screened, run_jobs, screen
 __all__ = ["Hypothesis", "fit_contained", "fit_screened", "fit_shortlist", "floor_square", "hypothesis_of",
            "inner_laws", "mean_square", "null_hypothesis", "on_whole", "share", "without"]
 
+TORN = 0.3  # times the error on whole recordings: below it, segments fit far better than what they are joined to
 AT_FLOOR = 1.1  # times the floor's mean square: a fit below it has lost no start state
 
 
@@ -141,7 +142,8 @@ def _finish(problem: Problem, base: Fit, trials: Sequence[Fit], iterations: int 
 def on_whole(problem: Problem, coarse: Fit, iterations: int = 20) -> Fit:
     """The fit on the training recordings as they are judged, from the one on segments.
 
-    Where it is not at the floor, a start state may have been lost on the way: other starts are tried.
+    Where it is not at the floor, a start state may have been lost on the way: other starts are tried, and segments that
+    grow longer step by step where they fit far better than the whole.
     """
     if problem.coarse.segments.shape == problem.train.segments.shape:
         return coarse
@@ -150,9 +152,26 @@ def on_whole(problem: Problem, coarse: Fit, iterations: int = 20) -> Fit:
     if mean_square(problem, fit, problem.train) < AT_FLOOR * floor_square(problem):
         return fit
     again = problem.restarted(fit)
-    if again is fit:
+    if again is not fit:
+        fit = fit_model(again.model, problem.train, problem.sigma, again.theta, again.X0, problem.ranges, iterations,
+                        3e-4)
+    if mean_square(problem, coarse, problem.coarse) > TORN * mean_square(problem, fit, problem.train):
         return fit
-    return fit_model(again.model, problem.train, problem.sigma, again.theta, again.X0, problem.ranges, iterations, 3e-4)
+    return min(fit, _joined(problem, coarse, iterations), key=lambda f: f.cost)
+
+
+def _joined(problem: Problem, coarse: Fit, iterations: int) -> Fit:
+    """The fit on the training recordings by way of segments that grow threefold, each started where the last one is."""
+    fit, length = coarse, int(np.max(np.diff(problem.coarse.segments[:, :2])))
+    while True:
+        length *= 3
+        longer = problem.train.cut(length)
+        whole = len(longer.segments) == len(problem.train.segments)
+        data = problem.train if whole else longer
+        X0 = fit.X[data.segments[:, 0], :fit.model.nx]
+        fit = fit_model(fit.model, data, problem.sigma, fit.theta, X0, problem.ranges, iterations if whole else 8, 3e-4)
+        if whole:
+            return fit
 
 
 def _resolved(problem: Problem, fit: Fit, most: int = 8) -> Model:
