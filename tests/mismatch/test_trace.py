@@ -11,6 +11,7 @@ import numpy as np
 import numpy.linalg as la
 import pytest
 
+from pwaid.mismatch.built import with_arguments
 from pwaid.mismatch.compile_rhs import CompileFailure, compiled_pair
 from pwaid.mismatch.plant import as_plant
 from pwaid.mismatch.symbolic import Tape, TraceFailure
@@ -204,9 +205,7 @@ def test_one_operation_is_written_once_and_zeros_are_left_out():
     assert (a * b + 0.0).node == (a * b).node and (1.0 * a).node == a.node and 0.0 * a == 0.0
 
 
-def test_parameters_of_a_linear_system_are_the_arguments_of_build(tmp_path):
-    from pwaid.mismatch.built import with_arguments
-
+def test_parameters_of_a_linear_system_are_the_arguments_of_build():
     def build(m=2.0, b=0.4, k=8.0):
         return control.ss([[0, 1], [-k / m, -b / m]], [[0], [1 / m]], [[1, 0]], 0, inputs=["F"], outputs=["x"])
 
@@ -221,8 +220,6 @@ def test_parameters_of_a_linear_system_are_the_arguments_of_build(tmp_path):
 
 
 def test_what_build_cannot_be_traced_through_is_built_again():
-    from pwaid.mismatch.built import with_arguments
-
     def build(k=2.0, T=0.5):
         return control.tf([k], [T, 1.0], inputs=["u"], outputs=["y"])
 
@@ -231,3 +228,29 @@ def test_what_build_cannot_be_traced_through_is_built_again():
     x = np.array([0.7])
     assert built.outputs(x, np.zeros(1), np.array([4.0, 0.5]))[0] == pytest.approx(
         2 * built.outputs(x, np.zeros(1), np.array([2.0, 0.5]))[0])
+
+
+def test_interconnected_systems_take_the_arguments_of_build():
+    def build(J=0.3, b=0.1, gain=2.0):
+        motor = control.nlsys(lambda t, x, u, p: [(u[0] - b * x[0]) / J], lambda t, x, u, p: [x[0]], inputs=["M"],
+                              outputs=["w"], states=["w"], name="motor")
+        loop = control.nlsys(None, lambda t, x, u, p: [gain * (u[0] - u[1])], inputs=["r", "w"], outputs=["M"],
+                             name="loop")
+        return control.interconnect([motor, loop], inputs=["r"], outputs=["w"])
+
+    built = with_arguments(as_plant(build()), build, ["J", "b"])
+    assert dict(built.parameters) == {"J": 0.3, "b": 0.1, "gain": 2.0} and built.rhs is not None
+    p, x, u = np.array([0.5, 0.2, 3.0]), np.array([0.7]), np.array([1.1])
+    np.testing.assert_allclose(built.derivative(x, u, p), (3.0 * (1.1 - 0.7) - 0.2 * 0.7) / 0.5, rtol=1e-12)
+    np.testing.assert_allclose(built.derivative(x, u), (2.0 * (1.1 - 0.7) - 0.1 * 0.7) / 0.3, rtol=1e-12)
+
+
+def test_a_function_that_calls_itself_is_left_alone():
+    def power(v, n):
+        return 1.0 if n == 0 else v * power(v, n - 1)
+
+    def recursive(t, x, u, params):
+        return [float(str(power(x[0], 3)))]
+
+    with pytest.raises(CompileFailure, match="calls itself"):
+        compiled_pair(recursive, None, (1, 1, 1), {"a": 1.0})

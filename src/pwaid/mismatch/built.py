@@ -12,8 +12,10 @@ from collections.abc import Callable, Sequence
 import control
 import numpy as np
 
+from pwaid.mismatch.interconnected import equations
 from pwaid.mismatch.plant import Plant, checked
 from pwaid.mismatch.realise import realise
+from pwaid.mismatch.symbolic import Symbol
 
 __all__ = ["with_arguments"]
 
@@ -32,38 +34,32 @@ def with_arguments(plant: Plant, build: Callable, free: Sequence[str] | None) ->
     if not meant or plant.black_box is not None:
         return plant
     own = {} if plant.linear else {n: v for n, v in plant.parameters.items() if n not in arguments}
-    systems: dict[tuple, object] = {}
+    known: dict[tuple, tuple] = {}
 
     def built(params):
-        values = tuple(params[n] for n in arguments)
-        if values not in systems:
-            if len(systems) >= KEPT:
-                systems.clear()
-            system = build(**dict(zip(arguments, values, strict=True)))
-            systems[values] = realise(system) if isinstance(system, control.TransferFunction) else system
-        return systems[values]
+        """Update, output and parameters of the system that these values give."""
+        values = {n: params[n] for n in arguments}
+        key = tuple((id(v.tape), v.node) if isinstance(v, Symbol) else v for v in values.values())
+        if key not in known:
+            if len(known) >= KEPT:
+                known.clear()
+            system = build(**values)
+            system = realise(system) if isinstance(system, control.TransferFunction) else system
+            known[key] = (*equations(system), getattr(system, "params", None) or {})
+        return known[key]
 
     def update(t, x, u, params):
-        system = built(params)
-        if plant.linear:
-            return system.A @ x + system.B @ u
-        return system.updfcn(t, x, u, _inner(system, params, arguments))
+        move, _, others = built(params)
+        return move(t, x, u, {**others, **{n: v for n, v in params.items() if n not in arguments}})
 
     def output(t, x, u, params):
-        system = built(params)
-        if plant.linear:
-            return system.C @ x + system.D @ u
-        return x if system.outfcn is None else system.outfcn(t, x, u, _inner(system, params, arguments))
+        _, seen, others = built(params)
+        return seen(t, x, u, {**others, **{n: v for n, v in params.items() if n not in arguments}})
 
     update.runs = output.runs = (build,)
     return checked(Plant(update, output, plant.state_names, plant.input_names, plant.output_names,
                          {**arguments, **own}, plant.constants, dt=plant.dt, source=plant.source, linear=plant.linear,
                          arguments=tuple(arguments)))
-
-
-def _inner(system, params, arguments):
-    """What a built nonlinear simulator gets as params: its own, with those that are no arguments of build()."""
-    return {**(system.params or {}), **{n: v for n, v in params.items() if n not in arguments}}
 
 
 def _numbers(build: Callable) -> dict[str, float]:

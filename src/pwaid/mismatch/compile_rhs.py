@@ -40,7 +40,7 @@ def _wrap(inner, size: int, signature, raises: bool = False):
     try:
         return njit(signature.signature, error_model="numpy", nogil=True)(guarded if raises else call)
     except Exception as error:  # numba raises many kinds; each means: no compiled counterpart
-        raise CompileFailure(str(error).strip().splitlines()[0]) from error
+        raise CompileFailure(_first_line(error)) from error
 
 
 def compiled_pair(update: Callable, output: Callable | None, sizes: tuple[int, int, int],
@@ -88,7 +88,11 @@ def _from_trace(plain: Callable):
     try:
         return njit(RHS_TYPE.signature, error_model="numpy", nogil=True)(plain)
     except Exception as error:  # numba raises many kinds; each means: no compiled counterpart
-        raise CompileFailure(str(error).strip().splitlines()[0]) from error
+        raise CompileFailure(_first_line(error)) from error
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).strip() or type(error).__name__).splitlines()[0]
 
 
 def _whole_state(t, x, u, params):

@@ -1,4 +1,4 @@
-"""The equations of a control.InterconnectedSystem as two functions, so that they can be run on symbols like any other.
+"""The equations of a control system as two functions that can be run on symbols, interconnected systems included.
 
 python-control propagates signals through feedthrough by comparing numbers until they no longer change; here they are
 propagated as often as the longest chain of systems can need.
@@ -14,18 +14,34 @@ import numpy as np
 
 from pwaid.errors import InputError
 
-__all__ = ["equations"]
+__all__ = ["equations", "equations_of_parts"]
 
 
-def equations(system: control.InterconnectedSystem) -> tuple[Callable, Callable]:
-    """Update and output ``f(t, x, u, params)`` of a system made by interconnect, feedback, series or a block algebra.
+def equations(system) -> tuple[Callable, Callable]:
+    """Update and output ``f(t, x, u, params)`` of a nonlinear, a linear or an interconnected system."""
+    if isinstance(system, control.InterconnectedSystem):
+        return equations_of_parts(system)
+    if not hasattr(system, "A"):
+        return system.updfcn, system.outfcn or (lambda t, x, u, params: x)
+
+    def move(t, x, u, params):
+        return system.A @ x + system.B @ u
+
+    def seen(t, x, u, params):
+        return system.C @ x + system.D @ u
+
+    return move, seen
+
+
+def equations_of_parts(system: control.InterconnectedSystem) -> tuple[Callable, Callable]:
+    """The same of a system made by interconnect, feedback, series or a block algebra.
 
     Raises
     ------
     InputError
         When signals do not settle: an algebraic loop.
     """
-    blocks = [(_own(block), block) for block in system.syslist]
+    blocks = [(equations(block), block) for block in system.syslist]
     connect, entering, leaving = (np.asarray(m) for m in (system.connect_map, system.input_map, system.output_map))
     states = _slices([block.nstates for _, block in blocks])
     inputs = _slices([block.ninputs for _, block in blocks])
@@ -64,21 +80,6 @@ def equations(system: control.InterconnectedSystem) -> tuple[Callable, Callable]
         pass
     update.runs = output.runs = tuple(f for pair, _ in blocks for f in pair)
     return update, output
-
-
-def _own(block) -> tuple[Callable, Callable]:
-    """Update and output of one block."""
-    if isinstance(block, control.InterconnectedSystem):
-        return equations(block)
-    if isinstance(block, control.StateSpace):
-        def move(t, x, u, params):
-            return block.A @ x + block.B @ u
-
-        def seen(t, x, u, params):
-            return block.C @ x + block.D @ u
-
-        return move, seen
-    return block.updfcn, block.outfcn or (lambda t, x, u, params: x)
 
 
 def _slices(counts) -> list[slice]:

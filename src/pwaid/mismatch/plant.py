@@ -14,7 +14,7 @@ from pwaid.errors import InputError
 from pwaid.mismatch.blackbox import BlackBox, looks_like_black_box
 from pwaid.mismatch.compile_rhs import CompileFailure, compiled_pair
 from pwaid.mismatch.engine import RHS_TYPE
-from pwaid.mismatch.interconnected import equations
+from pwaid.mismatch.interconnected import equations_of_parts
 from pwaid.mismatch.realise import realise
 
 __all__ = ["Plant", "as_plant", "called_with_arrays", "checked", "takes_arrays"]
@@ -215,7 +215,7 @@ def _from_nonlinear(system: control.NonlinearIOSystem, source: str) -> Plant:
     if system.updfcn is None:
         raise InputError("the simulator has no update function; give control.nlsys(update, output, ...)")
     joined = isinstance(system, control.InterconnectedSystem)
-    update, output = equations(system) if joined else (system.updfcn, system.outfcn)
+    update, output = equations_of_parts(system) if joined else (system.updfcn, system.outfcn)
     plant = Plant(update, output, tuple(system.state_labels), tuple(system.input_labels),
                   tuple(system.output_labels), parameters, constants, dt=_time_step(system), source=source,
                   notes=tuple(f"parameter {n} of the simulator is {type(v).__name__}: kept as it is"

@@ -194,9 +194,10 @@ def _names(prefix) -> dict[str, Callable]:
 
 
 _LINALG = {"solve": _solve, "inv": _inverse, "det": _determinant, "norm": _norm}
-_MINE = _names(np) | {"where": _where, "clip": _clip, "interp": _interp, "float64": _Float} | {
+_MINE = _names(np) | {"where": _where, "clip": _clip, "interp": _interp, "float64": _Float,
+                      "diag": lambda v, k=0: np.diag(np.array(v, dtype=object), k)} | {
     n: _holding_objects(getattr(np, n)) for n in ("array", "asarray", "asanyarray", "zeros", "ones", "empty", "full",
-                                                  "eye", "identity", "diag")} | {
+                                                  "eye", "identity")} | {
     f"{n}_like": _like(getattr(np, n)) for n in ("zeros", "ones", "empty")}
 _MATH = _names(math) | {name: _function(real, getattr(math, name)) for name, real in (
     ("asin", "arcsin"), ("acos", "arccos"), ("atan", "arctan"), ("atan2", "arctan2"), ("asinh", "arcsinh"),

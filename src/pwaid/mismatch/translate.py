@@ -120,7 +120,10 @@ def compile_function(function: Callable, names: Mapping[str, int], seen: dict | 
     """
     seen, constants = {} if seen is None else seen, constants or {}
     if function in seen:
+        if seen[function] is None:
+            raise CompileFailure(f"{function.__name__} calls itself")
         return seen[function]
+    seen[function] = None
     try:
         tree = ast.parse(textwrap.dedent(inspect.getsource(function)))
     except (OSError, TypeError, SyntaxError) as error:
