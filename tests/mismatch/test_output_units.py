@@ -42,6 +42,18 @@ def system(update, see, states, outputs, **params):
     return control.nlsys(update, see, inputs=["u"], states=states, outputs=outputs, params=params)
 
 
+def twisted(t, x, u, params):
+    shaft = params["k"] * x[2] + 0.1 * (x[0] - x[1])
+    return [(u[0] - shaft) / params["Jm"], (shaft - params["b"] * x[1]) / params["Jl"], x[0] - x[1]]
+
+
+def test_the_far_end_of_a_twisted_shaft_is_a_speed():
+    s = structure(system(twisted, lambda t, x, u, p: [x[0] * 30 / np.pi], ["a", "c", "twist"], ["n"], k=40.0, Jm=1.0,
+                         Jl=2.0, b=0.2), ["N m"], ["rpm"])
+    assert s.kinds[:2] == ("velocity", "velocity") and s.kinds[2] not in ("velocity", "store")
+    assert s.state_units[1] == {"rad": 1, "s": -1} and s.entry[1] == (1, 1, 2)
+
+
 def test_states_and_units_follow_the_gain_of_an_output():
     s = structure(system(motor, lambda t, x, u, p: np.array([np.rad2deg(x[0]), x[1] * 30 / np.pi]), ["q", "w"],
                          ["angle", "speed"], J=0.1, b=0.2), ["N m"], ["deg", "rpm"])

@@ -61,6 +61,7 @@ def find_structure(plant: Plant, states, inputs, outputs, input_units, output_un
     _spread_units(units, partner)
     for i in range(nx):
         kinds[i] = _kind_of(i, plant, partner, units, shown.state, output_units)
+    _relative_speeds(kinds, units, plant, points)
     _guess_stores(kinds, plant, points, high)
     default_angle = any(unit_kind(u) == "torque" for u in input_units)
     for i in range(nx):
@@ -225,6 +226,26 @@ def _kind_of(i, plant, partner, units, output_state, output_units):
     return "abstract" if plant.linear else "unknown"
 
 
+def _relative_speeds(kinds, units, plant, points):
+    """The other speed where a state is the difference of two, one of them known: the twist of a shaft, a stretch."""
+    if plant.dt or "velocity" not in kinds:
+        return
+    F, Xs = np.array([plant.derivative(x, u) for x, u in points]), np.array([x for x, _ in points])
+    if np.linalg.matrix_rank(Xs) < Xs.shape[1]:
+        return
+    for rate in F.T:
+        weights = np.linalg.lstsq(Xs, rate, rcond=None)[0]
+        size = np.max(np.abs(weights * Xs), axis=0)
+        pair = np.flatnonzero(size > 1e-9 * np.max(size))
+        if len(pair) != 2 or not np.allclose(Xs @ weights, rate, rtol=1e-9, atol=1e-12 * np.max(np.abs(rate))):
+            continue
+        for known, other in (pair, pair[::-1]):
+            if kinds[known] == "velocity" and kinds[other] in ("unknown", "abstract"):
+                kinds[other] = "velocity"
+                same = np.isclose(abs(weights[known]), abs(weights[other]), rtol=1e-6)
+                units[other] = units[other] or (units[known] if same else {})
+
+
 def _guess_stores(kinds, plant, points, high):
     """Undecided states: stores when the right-hand side holds a square root of them, else like their siblings."""
     for i, kind in enumerate(kinds):
@@ -244,7 +265,8 @@ def _guess_stores(kinds, plant, points, high):
     decided = {k for k in kinds if k in ("fluid", "thermal")}
     for i, kind in enumerate(kinds):
         if kind == "unknown":
-            kinds[i] = decided.pop() if len(decided) == 1 else ("store" if not decided else "unknown")
+            moving = "velocity" in kinds
+            kinds[i] = decided.pop() if len(decided) == 1 else ("store" if not decided and not moving else "unknown")
             decided = {k for k in kinds if k in ("fluid", "thermal")}
 
 
