@@ -255,7 +255,7 @@ class Structure:
         """Products of speeds, times 1, sin or cos of an angle: only with a second axis."""
         places = []
         vs = self.velocities()
-        if len(vs) < 2:
+        if len(vs) < 2 or "position" not in self.kinds:  # no position, no inertia that varies with one
             return places
         angular = {place.ii[5]: place.constants[0] for place in self.angles()}
         trigs = [(0, -1, 1.0)] + [(k, x, factor) for x, factor in angular.items() for k in (1, 2)]
