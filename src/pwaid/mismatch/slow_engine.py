@@ -70,11 +70,14 @@ class _Columns:
 
     def remember(self, t, h, X, U):
         """Advance the laws' memories by h; a law behind another one at an input follows what that one lets through."""
-        XS, US, PS, DX = X.copy(), U.copy(), self.P.copy(), np.zeros_like(X)
+        XS, DX = X.copy(), np.zeros_like(X)
+        if not self.model.chained:
+            self.effects(0, t, h, X, XS, U, self.P, DX)
+            return
+        US, PS = U.copy(), self.P.copy()
         for e in range(len(self.model.located)):
             self.effects(0, t, h, X, XS, US, self.P, DX, only=(e,))
-            if self.model.chained:
-                self.effects(1, t, h, X, XS, US, PS, DX, only=(e,))
+            self.effects(1, t, h, X, XS, US, PS, DX, only=(e,))
 
     def rates(self, t, h, X, U, mobility, sliding):
         XS, US, PS, DX = X.copy(), U.copy(), self.P.copy(), np.zeros_like(X)

@@ -12,7 +12,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-__all__ = ["FUNCTIONS", "Symbol", "Tape", "TraceFailure", "apply", "elementwise", "is_symbolic"]
+__all__ = ["FUNCTIONS", "Symbol", "Tape", "TraceFailure", "apply", "by_name", "elementwise", "is_symbolic"]
 
 
 class TraceFailure(BaseException):
@@ -110,8 +110,7 @@ def apply(name: str, *arguments):
     tape = next((a.tape for a in arguments if isinstance(a, Symbol)), None)
     if tape is None:
         return FUNCTIONS[name][0](*arguments)
-    values = [_value(a) for a in arguments]
-    known = _shortcut(name, arguments, values)
+    known = _shortcut(name, arguments)
     if known is not None:
         return known
     if name not in ("select", "logical_and", "logical_or", "logical_not", "number"):
@@ -120,16 +119,11 @@ def apply(name: str, *arguments):
     return tape.symbol(name, *nodes)
 
 
-def _value(argument):
-    """The number it is, None for a symbol."""
-    return None if isinstance(argument, Symbol) else argument
-
-
-def _shortcut(name, arguments, values):
+def _shortcut(name, arguments):
     """What needs no operation: adding zero, multiplying by zero or one, and the like; None otherwise."""
     for this, other in ((0, 1), (1, 0)):
-        if len(values) == 2 and isinstance(values[this], int | float | np.number):
-            rest, v = arguments[other], values[this]
+        if len(arguments) == 2 and isinstance(arguments[this], int | float | np.number):
+            rest, v = arguments[other], arguments[this]
             plain = not (isinstance(rest, Symbol) and rest.truth)
             if v == 0 and plain and (name == "add" or (name == "subtract" and this == 1)):
                 return rest
@@ -173,9 +167,6 @@ class Symbol:
             return result
         out[0][...] = result
         return out[0]
-
-    def __pow__(self, other):
-        return _operate("power", self, other)
 
     def __round__(self, digits=None):
         return self._refuse() if digits else apply("rint", self)
@@ -240,11 +231,12 @@ def elementwise(function: Callable) -> Callable:
     return over_arrays
 
 
-def _by_name(name: str) -> Callable:
+def by_name(name: str) -> Callable:
+    """The function `name` of FUNCTIONS, of arrays too."""
     return elementwise(lambda *values: apply(name, *values))
 
 
-_BY_UFUNC = {name: _by_name(name) for name in FUNCTIONS} | {
+_BY_UFUNC = {name: by_name(name) for name in FUNCTIONS} | {
     "conj": lambda a: a, "positive": lambda a: a,
     "greater": lambda a, b: _BY_UFUNC["less"](b, a), "greater_equal": lambda a, b: _BY_UFUNC["less_equal"](b, a),
-    "bitwise_and": _by_name("logical_and"), "bitwise_or": _by_name("logical_or"), "invert": _by_name("logical_not")}
+    "bitwise_and": by_name("logical_and"), "bitwise_or": by_name("logical_or"), "invert": by_name("logical_not")}

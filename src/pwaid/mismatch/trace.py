@@ -1,7 +1,7 @@
 """Compiled code for a right-hand side from running it: its arithmetic is written down, branch by branch.
 
-Where the source cannot be translated (`pwaid.mismatch.compile_rhs`), the Python function is run on symbols in place of
-numbers, once for every way through its conditions. What it did becomes a function of plain arithmetic.
+The Python function is run on symbols in place of numbers, once for every way through its conditions. What it did
+becomes a function of plain arithmetic.
 """
 
 from __future__ import annotations
@@ -108,6 +108,7 @@ class _Writer:
         self.tape, self.tables, self.count = tape, {}, 0
 
     def block(self, branch: _Branch, known: dict[int, str], depth: int) -> list[str]:
+        """The lines of a branch and all below it; `known` names what was written on the way to it."""
         pad, lines = "    " * depth, []
 
         def value(node):
@@ -167,7 +168,7 @@ class _Writer:
     def _whole(self, node: int) -> int | None:
         """A small whole number, of which a power is a product."""
         name, *rest = self.tape.nodes[node]
-        return int(rest[1]) if name == "constant" and rest[1] == int(rest[1]) and 0 < rest[1] <= 4 else None
+        return int(rest[1]) if name == "constant" and 0 < rest[1] <= 4 and rest[1] == int(rest[1]) else None
 
     @staticmethod
     def _constant(value) -> str:

@@ -19,7 +19,16 @@ from pathlib import Path
 import control
 import numpy as np
 
-from pwaid.mismatch.symbolic import FUNCTIONS, OTHER_NAMES, Symbol, TraceFailure, apply, elementwise, is_symbolic
+from pwaid.mismatch.symbolic import (
+    FUNCTIONS,
+    OTHER_NAMES,
+    Symbol,
+    TraceFailure,
+    apply,
+    by_name,
+    elementwise,
+    is_symbolic,
+)
 
 __all__ = ["as_numbers", "replaced"]
 
@@ -35,7 +44,7 @@ def as_numbers(value):
 
 
 def _function(name: str, original: Callable) -> Callable:
-    spread = elementwise(lambda *values: apply(name, *values))
+    spread = by_name(name)
 
     @functools.wraps(original, updated=())
     def either(*arguments, **options):
