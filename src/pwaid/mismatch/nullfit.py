@@ -16,6 +16,7 @@ from pwaid.mismatch.floor import Floor, estimate_floor, white_level
 from pwaid.mismatch.model import LIMIT, Model, Settings
 from pwaid.mismatch.plant import Plant
 from pwaid.mismatch.probing import find_structure
+from pwaid.mismatch.sensitive import LOST, steadied
 from pwaid.mismatch.startscan import best_starts, scans, unseen_directions
 from pwaid.mismatch.structure import Structure
 
@@ -23,7 +24,6 @@ __all__ = ["Problem", "first_states", "prepare"]
 
 DEFAULT_TOLERANCE = 0.3
 UNSTABLE = 4.0  # growth over a recording, in time constants, that no start state can follow
-LOST = 0.5  # of an output's standard deviation
 
 
 @dataclass(frozen=True)
@@ -51,13 +51,17 @@ class Problem:
     notes: tuple[str, ...] = ()
     whole: tuple[Dataset, Dataset] | None = None
 
+    def measured(self, data: Dataset) -> np.ndarray:
+        """Start states as the first samples show them, (segments, nx)."""
+        return first_states(self.plant, self.structure.start_map, data)
+
     def heldout(self, fit: Fit) -> Fit:
         """The fitted model on the held-out recordings, its start states fitted there, segment by segment the best of
         several starts: the null's, which may be bent to absorb the effect; the measured ones; and, for states that
         the null does not see, a scan of the range they visit."""
-        measured = first_states(self.plant, self.structure.start_map, self.test)
         best = fit_starts(fit.model, self.test, self.sigma, fit.theta, self.null_test.X0, self.ranges)
-        return best_starts(self, fit, best, (measured, *scans(self, fit, best.X0, self.test)), self.test)
+        options = self.measured(self.test), *scans(self, fit, best.X0, self.test)
+        return best_starts(self, fit, best, options, self.test)
 
     def rescanned(self, fit: Fit) -> Fit:
         """A fit to `coarse`, with start states that the null does not see looked for over their range.
@@ -74,7 +78,7 @@ class Problem:
         if self.plant.rhs is None:
             return fit
         options = [self.null.X0] if self.null.X0.shape == fit.X0.shape else []
-        options.append(first_states(self.plant, self.structure.start_map, self.train))
+        options.append(self.measured(self.train))
         return best_starts(self, fit, fit, [*options, *scans(self, fit, fit.X0, self.train)], self.train)
 
     @cached_property
@@ -289,8 +293,9 @@ def prepare(plant: Plant, train: Dataset, test: Dataset, input_units, output_uni
                                train.sample_time, length, free)
     if not np.all(np.isfinite(null.cost)):
         warnings.warn("the nominal simulation could not be fitted", stacklevel=2)
-    return Problem(plant, model.settings, train, test, coarse, sigma, floor, structure, ranges, nominal, null,
-                   null_coarse, nominal_test, null_test, notes, whole)
+    problem = Problem(plant, model.settings, train, test, coarse, sigma, floor, structure, ranges, nominal, null,
+                      null_coarse, nominal_test, null_test, notes, whole)
+    return steadied(problem) if samples >= longest and plant.rhs is not None else problem
 
 
 def _on_whole(model, train, scale, first: Fit, mapping, ranges) -> Fit | None:

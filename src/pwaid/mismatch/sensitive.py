@@ -1,0 +1,92 @@
+"""Motions that part from the smallest difference, such as a pendulum that swings over the top.
+
+No start state keeps them over a recording, though nothing may be missing. Where the refitted simulation loses a
+recording, and slightly other start states lead somewhere else, recordings are cut into segments.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pwaid.mismatch.dataset import Dataset
+from pwaid.mismatch.fit import Fit, fit_model, fit_starts
+from pwaid.mismatch.startscan import best_starts
+
+__all__ = ["LOST", "steadied"]
+
+LOST = 0.5  # of an output's standard deviation
+FOLLOWED = 1.3  # mean square of what segments leave, relative to the floor's, at which nothing is missing inside them
+SLIGHT = 0.01  # of a state's range: a move of its start that a motion should outlive
+SHORTEST = 40  # samples of a segment
+HANDED = 4  # times that start states are handed on from one segment to the next
+
+
+def _off(Y, data: Dataset, beside) -> bool:
+    """Whether two simulations, or one and the recordings, differ by much of an output's spread in some segment."""
+    return any(np.any(np.std((Y - beside)[a:b], axis=0) > LOST * np.std(data.Y[c:d], axis=0))
+               for a, b, c, d in data.segments)
+
+
+def _parts(fit: Fit, data: Dataset, ranges) -> bool:
+    """Whether start states a hundredth of their range away lead somewhere else."""
+    moves = [sign * SLIGHT * move for move in np.diag(ranges) for sign in (1, -1)]
+    return any(_off(fit.model.simulate(fit.theta, fit.X0 + move, data)[0], data, fit.Y) for move in moves)
+
+
+def steadied(problem):
+    """The problem in segments over which its motion is no longer sensitive; as it came where the null keeps all
+    recordings, or where the motion is not sensitive.
+
+    Segments that the null follows to the floor are what there is to explain: nothing. Otherwise a hypothesis that
+    keeps the whole recordings is judged on them (see `Problem.whole`).
+    """
+    sides = (problem.null, problem.train), (problem.null_test, problem.test)
+    if not any(_off(fit.Y, data, data.Y) and _parts(fit, data, problem.ranges) for fit, data in sides):
+        return problem
+    length, whole = int(12 * problem.structure.time_scale / problem.train.sample_time), (problem.train, problem.test)
+    for samples in (length, length // 2, length // 4):
+        if samples < SHORTEST:
+            break
+        (train, nominal, null), (test, nominal_test, null_test) = _in_segments(problem, samples)
+        floor = FOLLOWED * problem.floor.level**2
+        calm = not any(_off(fit.Y, data, data.Y) or _parts(fit, data, problem.ranges) for fit, data in (
+            (null, train), (null_test, test)))
+        at_floor = all(np.all(np.mean(fit.residual(data) ** 2, axis=0) < floor)
+                       for fit, data in ((null, train), (null_test, test)))
+        if at_floor or calm:
+            note = ("the motion is sensitive, no start state keeps it over a recording: segments of about "
+                    f"{samples * train.sample_time:.3g} s, each with free start states")
+            return replace(problem, train=train, test=test, coarse=train, nominal=nominal, null=null,
+                           null_coarse=null, nominal_test=nominal_test, null_test=null_test,
+                           whole=None if at_floor else whole, notes=(*problem.notes, note))
+    return problem
+
+
+def _in_segments(problem, samples: int):
+    """Data, nominal simulation and null in segments, for training and held-out recordings."""
+    sides, theta = [], None
+    for data, null in ((problem.train, problem.null), (problem.test, problem.null_test)):
+        cut, model = data.cut(samples), null.model
+        nominal = _handed_on(problem, null, 0 * null.theta, cut)
+        fit = (_handed_on(problem, null, theta, cut) if sides else
+               fit_model(model, cut, problem.sigma, nominal.theta, nominal.X0, problem.ranges, 20))
+        theta = fit.theta
+        sides.append((cut, nominal, fit))
+    return sides
+
+
+def _handed_on(problem, null: Fit, theta, cut: Dataset) -> Fit:
+    """Start states of segments: the best from what was measured and from where the segment before ended."""
+    last = np.maximum(cut.segments[:, 0] - 1, 0)
+    inside = cut.segments[:, 0] > cut.segments[:, 2]
+    X0 = problem.measured(cut)
+    best = fit_starts(null.model, cut, problem.sigma, theta, X0, problem.ranges)
+    before = null.X
+    for _ in range(HANDED):
+        ends = before[last, :null.model.nx]
+        known = inside & np.all(np.isfinite(ends), axis=1)
+        best = best_starts(problem, best, best, [np.where(known[:, None], ends, best.X0)], cut)
+        before = best.X
+    return best
