@@ -126,3 +126,17 @@ def test_a_force_through_an_input_is_no_command(plant):
     want = _run((load, lag), ([0.4], [0.2]))
     for laws, values in (((through, lag), ([0.4], [0.2])), ((lag, through), ([0.2], [0.4]))):
         np.testing.assert_allclose(_run(laws, values, plant=plant), want, rtol=1e-9, atol=1e-12)
+
+
+@pytest.mark.parametrize("name", ["actuator_lag", "input_play", "actuator_rate_limit"])
+def test_the_memory_of_an_input_goes_on_from_segment_to_segment(name):
+    law = _law(name)
+    model = Model(settings(), (law,))
+    theta = np.concatenate([np.zeros(3), law.internal([q.probes[0] for q in law.effect.quantities])])
+    Y, X = model.simulate(theta, np.zeros((1, 2)), DATA)
+    cut = DATA.cut(40)
+    starts = X[cut.segments[:, 0], :2]
+    np.testing.assert_allclose(model.simulate(theta, starts, cut)[0], Y, rtol=1e-12, atol=1e-13)
+    np.testing.assert_allclose(model.simulate_many([(theta, starts)], cut)[0], Y, rtol=1e-12, atol=1e-13)
+    apart = replace(cut, segments=np.column_stack([cut.segments[:, :2]] * 2))  # as recordings of their own
+    assert np.max(np.abs(model.simulate(theta, starts, apart)[0] - Y)) > 1e-4

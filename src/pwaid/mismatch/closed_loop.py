@@ -91,7 +91,7 @@ class Walk:
         self.U, self.Y = np.zeros((samples + 1, nu)), np.zeros((samples + 1, ny))
         self.U[:] = first_input
         self.X = np.zeros((samples + 1, model.nx + model.extra))
-        self.x = model.start(np.asarray(x0, dtype=float)[None], self.U[:1])
+        self.x = model.start(np.asarray(x0, dtype=float)[None], self.U, np.array([[0, samples, 0, samples]]))
 
     def at(self, k: int, u) -> tuple[np.ndarray, np.ndarray]:
         """Outputs at sample k under the input u, and those at k + 1 while it is still held; then moves on."""

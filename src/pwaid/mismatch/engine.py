@@ -177,7 +177,8 @@ def _loop(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, dis
         first, last = segments[g, 0], segments[g, 1]
         begin, end = segments[g, 2], segments[g, 3]  # the recording's samples: history of delayed inputs
         for i in range(nt):
-            x[i] = X0[g, i]
+            if not np.isnan(X0[g, i]):  # a memory that goes on from the segment before
+                x[i] = X0[g, i]
         alive = True
         for sample in range(first, last):
             t = (sample - begin) * Ts

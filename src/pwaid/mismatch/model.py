@@ -187,8 +187,7 @@ class Model:
             return simulate_black_box(self, p, Q, delay, X0, data, LIMIT)
         Y = np.empty((len(data.U), data.Y.shape[1]))
         X = np.empty((len(data.U), self.nx + self.extra))
-        self.run(p, Q, delay, self.start(X0, data.U[data.segments[:, 0]]), data.segments, data.U, data.sample_time, X,
-                 Y)
+        self.run(p, Q, delay, self.start(X0, data.U, data.segments), data.segments, data.U, data.sample_time, X, Y)
         return Y, X
 
     def laws(self, parts, n_inputs: int) -> tuple[np.ndarray, np.ndarray]:
@@ -201,14 +200,21 @@ class Model:
                 delay[e.place.ii[8]] += values[0]
         return Q, delay
 
-    def start(self, X0, U0) -> np.ndarray:
-        """(n_segments, nx + extra) start states, the effects' memory included, for first inputs U0 (n_segments, nu)."""
+    def start(self, X0, U, segments) -> np.ndarray:
+        """(n_segments, nx + extra) start states, the effects' memory included.
+
+        What an input has been through does not depend on the state: NaN where its memory goes on from the segment
+        before. Where simulations are slow, all segments run side by side, and it begins anew with each.
+        """
         start = np.zeros((len(X0), self.nx + self.extra))
         start[:, :self.nx] = X0
+        U0, onward = U[segments[:, 0]], np.zeros(len(X0), dtype=bool)
+        if self.settings.plant.rhs is not None:
+            onward[1:] = (segments[1:, 0] == segments[:-1, 1]) & (segments[1:, 2] == segments[:-1, 2])
         for k, e in enumerate(self.acting):
             o = self.II[k, 0]
             if e.effect.start == "input":
-                start[:, o:o + e.effect.extra_states] = U0[:, self.II[k, 8]][:, None]
+                start[:, o:o + e.effect.extra_states] = np.where(onward, np.nan, U0[:, self.II[k, 8]])[:, None]
             elif e.effect.start == "stored":
                 start[:, o] = X0[:, self.II[k, 4]]
         return start
@@ -235,10 +241,10 @@ class Model:
         plant = self.settings.plant
         if plant.black_box is not None or not asked:
             return [self.simulate(theta, X0, data)[0] for theta, X0 in asked]
-        U0, variants = data.U[data.segments[:, 0]], []
+        variants = []
         for theta, X0 in asked:
             Q, delay = self.laws(self.parts(theta), data.U.shape[1])
-            variants.append(Variant(self.parameters(theta), Q, delay, self.start(X0, U0)))
+            variants.append(Variant(self.parameters(theta), Q, delay, self.start(X0, data.U, data.segments)))
         if plant.rhs is None:
             return list(simulate_columns(self, variants, data.segments, data.U, data.sample_time, LIMIT)[1])
         Y = np.empty((len(asked), *data.Y.shape))
