@@ -194,7 +194,8 @@ def fit_shortlist(problem: Problem, candidates: Sequence[Screened], jobs: int = 
                   keep: int = 5) -> list[Hypothesis]:
     """Try every candidate on top of `base`, a fit on segments (the null by default); fit the `keep` best, best first.
 
-    Laws contained in one that is kept, and ties within a factor of two, are kept too.
+    Laws contained in one that is kept, ties within a factor of two, and the best of another law of an effect that is
+    kept, are kept too.
     """
     base = problem.null_coarse if base is None else base
 
@@ -208,6 +209,14 @@ def fit_shortlist(problem: Problem, candidates: Sequence[Screened], jobs: int = 
     limit = 2 * tried[0][0][0].cost if tried else 0.0
     kept = [t for k, t in enumerate(tried) if (k < keep and t[0][0].cost < 50 * tried[0][0][0].cost)
             or t[1].located.effect.id in ids or (t[0][0].cost < limit and k < 2 * keep)]
+
+    laws = {(c.located.effect.id, c.located.effect.law) for _, c in kept}
+    ids = {name for name, _ in laws}
+    for t in tried:
+        law = t[1].located.effect.id, t[1].located.effect.law
+        if law[0] in ids and law not in laws:
+            kept.append(t)
+            laws.add(law)
 
     def finish(item):
         trials, candidate = item

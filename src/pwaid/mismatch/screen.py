@@ -100,7 +100,13 @@ def shortlist(screened: Sequence[Screened], top: int = 8, per_family: float = 0.
                      and s.located.place.signal == c.located.place.signal for c in chosen)
         if inside and s not in chosen:
             chosen.append(s)
+    laws = {(s.located.effect.id, s.located.effect.law) for s in chosen}
     ids = {s.located.effect.id for s in chosen}
+    for s in alive:  # and so is another law of the same effect, at its best place
+        law = s.located.effect.id, s.located.effect.law
+        if law[0] in ids and law not in laws:
+            chosen.append(s)
+            laws.add(law)
     families = {s.located.effect.family for s in chosen}
     for s in alive:
         effect = s.located.effect

@@ -10,7 +10,8 @@ from pwaid.mismatch.nullfit import Problem
 
 __all__ = ["at_bound", "outside", "veto"]
 
-_LOOSE = ("stiffness", "contact_frequency", "damping", "phase", "share", "ambient")  # what recordings may leave open
+# what recordings may leave open
+_LOOSE = ("stiffness", "contact_frequency", "damping", "phase", "share", "ambient", "dither")
 
 # A stop ends a motion. What gives way by this share of half the travel, this share of the time, is a spring.
 _YIELDING, _PRESSED = 1 / 3, 0.1

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import exp, floor
+from math import erf, exp, floor
 
 from pwaid.mismatch.effects.base import Effect, Quantity
 
@@ -28,9 +28,18 @@ def rectification(phase, t, h, x, xs, u, p, dx, ii, q):
 
 
 def quantization(phase, t, h, x, xs, u, p, dx, ii, q):
-    """y = step * round(y / step)."""
+    """y = mean of step * round((y + n) / step), n normal with standard deviation dither * step.
+
+    The noise that a reading has before it is rounded decides between two marks: their mean is what can be predicted.
+    """
     if phase == 3:
-        dx[ii[7]] = q[0] * floor(dx[ii[7]] / q[0] + 0.5)
+        marks = dx[ii[7]] / q[0]
+        nearest = floor(marks + 0.5)
+        away = marks - nearest
+        wide = 1.4142135623730951 * q[1]
+        above = 2.0 + erf((away - 0.5) / wide) + erf((away - 1.5) / wide)
+        below = 2.0 - erf((away + 0.5) / wide) - erf((away + 1.5) / wide)
+        dx[ii[7]] = q[0] * (nearest + 0.5 * (above - below))
 
 
 def offset(phase, t, h, x, xs, u, p, dx, ii, q):
@@ -70,8 +79,9 @@ EFFECTS = (
            "look at the speed on leaving the flat top: behind a clipped sensor the motion goes on"),
     Effect("sensor_rectification", "sensor", "y = |y|", (), rectification, lambda s: s.outputs(unsigned=True),
            ("quadratic_stiffness",), "several amplitudes around zero"),
-    Effect("sensor_quantization", "sensor", "y = step * round(y/step)",
-           (Quantity("step", "output", 1e-3, 1.0, (0.03, 0.1, 0.3)),), quantization, lambda s: s.outputs(),
+    Effect("sensor_quantization", "sensor", "y = mean of step * round((y + n)/step), n noise of dither * step",
+           (Quantity("step", "output", 1e-3, 1.0, (0.03, 0.1, 0.3)), Quantity("dither", "1", 0.01, 0.5, (0.1,))),
+           quantization, lambda s: s.outputs(),
            ("stribeck_friction",), "count the distinct values of a slow ramp"),
     Effect("sensor_offset", "sensor", "y = y + offset",
            (Quantity("offset", "output", -2.0, 2.0, (0.05, 0.2), log=False),), offset, lambda s: s.outputs(),
