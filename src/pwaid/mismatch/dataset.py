@@ -70,6 +70,15 @@ class Dataset:
             rows += [(i, j, a, b) for i, j in itertools.pairwise(edges)]
         return replace(self, segments=np.array(rows, dtype=np.int64))
 
+    def openings(self, samples: int) -> Dataset:
+        """The first samples of every segment, each as a recording of its own."""
+        lengths = np.minimum(samples, np.diff(self.segments[:, :2])[:, 0])
+        keep = np.concatenate([np.arange(a, a + n) for a, n in zip(self.segments[:, 0], lengths, strict=True)])
+        bounds = np.cumsum([0, *lengths])
+        rows = np.array([(a, b, a, b) for a, b in itertools.pairwise(bounds)], dtype=np.int64)
+        return Dataset(tuple(map(str, range(len(rows)))), np.ascontiguousarray(self.U[keep]),
+                       np.ascontiguousarray(self.Y[keep]), rows, self.sample_time)
+
     def part(self, which: Sequence[int]) -> Dataset:
         """The chosen recordings as a data set of their own."""
         rec = self.recordings

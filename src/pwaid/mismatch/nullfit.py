@@ -16,7 +16,7 @@ from pwaid.mismatch.floor import Floor, estimate_floor, white_level
 from pwaid.mismatch.model import LIMIT, Model, Settings
 from pwaid.mismatch.plant import Plant
 from pwaid.mismatch.probing import find_structure
-from pwaid.mismatch.sensitive import LOST, steadied
+from pwaid.mismatch.sensitive import FOLLOWED, LOST, SHORTEST, steadied
 from pwaid.mismatch.startscan import best_starts, scans, unseen_directions
 from pwaid.mismatch.structure import Structure
 
@@ -57,11 +57,20 @@ class Problem:
 
     def heldout(self, fit: Fit) -> Fit:
         """The fitted model on the held-out recordings, its start states fitted there, segment by segment the best of
-        several starts: the null's, which may be bent to absorb the effect; the measured ones; and, for states that
-        the null does not see, a scan of the range they visit."""
+        several starts: the null's, which may be bent to absorb the effect; the measured ones; for states that the
+        null does not see, a scan of the range they visit; and what the first seconds alone show."""
         best = fit_starts(fit.model, self.test, self.sigma, fit.theta, self.null_test.X0, self.ranges)
         options = self.measured(self.test), *scans(self, fit, best.X0, self.test)
-        return best_starts(self, fit, best, options, self.test)
+        return self._opened(best_starts(self, fit, best, options, self.test), self.test)
+
+    def _opened(self, fit: Fit, data: Dataset) -> Fit:
+        """The fit with start states that fit the first seconds of a segment, where they lead to less: in a motion that
+        is sensitive, those of the whole segment end in the wrong valley."""
+        if self.plant.rhs is None or np.all(np.mean(fit.residual(data) ** 2, axis=0) < FOLLOWED * self.floor.level**2):
+            return fit
+        first = data.openings(max(SHORTEST, int(6 * self.structure.time_scale / data.sample_time)))
+        X0 = fit_starts(fit.model, first, self.sigma, fit.theta, self.measured(first), self.ranges, 12).X0
+        return best_starts(self, fit, fit, [X0], data)
 
     def rescanned(self, fit: Fit) -> Fit:
         """A fit to `coarse`, with start states that the null does not see looked for over their range.
@@ -74,12 +83,14 @@ class Problem:
 
     def restarted(self, fit: Fit) -> Fit:
         """A fit to `train`, with better start states where another start of theirs leads to some: the null's, the
-        measured ones, and a scan of those that the null does not see. As it came where simulations are slow."""
+        measured ones, a scan of those that the null does not see, and what the first seconds show. As it came where
+        simulations are slow."""
         if self.plant.rhs is None:
             return fit
         options = [self.null.X0] if self.null.X0.shape == fit.X0.shape else []
         options.append(self.measured(self.train))
-        return best_starts(self, fit, fit, [*options, *scans(self, fit, fit.X0, self.train)], self.train)
+        options += scans(self, fit, fit.X0, self.train)
+        return self._opened(best_starts(self, fit, fit, options, self.train), self.train)
 
     @cached_property
     def together(self) -> Fit:

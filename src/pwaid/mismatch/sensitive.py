@@ -14,7 +14,7 @@ from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.fit import Fit, fit_model, fit_starts
 from pwaid.mismatch.startscan import best_starts
 
-__all__ = ["LOST", "steadied"]
+__all__ = ["FOLLOWED", "LOST", "SHORTEST", "steadied"]
 
 LOST = 0.5  # of an output's standard deviation
 FOLLOWED = 1.3  # mean square of what segments leave, relative to the floor's, at which nothing is missing inside them
