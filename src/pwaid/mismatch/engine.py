@@ -32,7 +32,8 @@ from numba.core import cgutils
 from numba.core.errors import NumbaExperimentalFeatureWarning
 from numba.extending import intrinsic
 
-__all__ = ["EFFECT_TYPE", "OUT_TYPE", "RHS_TYPE", "idle", "simulate_segments", "simulate_variants"]
+__all__ = ["EFFECT_TYPE", "OUT_TYPE", "RHS_TYPE", "idle", "simulate_segments", "simulate_variants",
+           "still"]
 
 # everything here is compiled at import; passing functions on to inner functions is what numba warns about
 warnings.filterwarnings("ignore", category=NumbaExperimentalFeatureWarning)
@@ -63,6 +64,12 @@ def _borrowed(typingctx, array):
 @njit(EFFECT_SIGNATURE, cache=True, nogil=True, error_model="numpy")
 def idle(phase, t, h, x, xs, u, p, dx, ii, q):
     """The effect that does nothing; it fills unused places of the engine."""
+
+
+@njit(types.void(f8, _V, _V, _V, _V), cache=True, nogil=True, error_model="numpy")
+def still(t, x, u, p, out):
+    """A right-hand side whose states rest, and outputs that are zero: only what inputs remember moves."""
+    out[:] = 0.0
 
 
 @njit(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -10,7 +10,7 @@ import numpy as np
 from pwaid.mismatch.blackbox_engine import simulate_black_box
 from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.effects.base import Effect, Place, scale_of, unit_of
-from pwaid.mismatch.engine import idle, simulate_segments, simulate_variants
+from pwaid.mismatch.engine import idle, simulate_segments, simulate_variants, still
 from pwaid.mismatch.plant import Plant
 from pwaid.mismatch.slow_engine import Variant, simulate_columns
 
@@ -19,6 +19,13 @@ __all__ = ["Located", "Model", "Settings", "acting_order"]
 LIMIT = 1e9
 REACH = 3.0  # tolerances (on the logarithmic axis) that a nominal parameter may move: it may have been tuned bent
 _CONTACTS = {"stiffness": 0.8, "contact_frequency": 0.8}
+
+
+def _onward(segments) -> np.ndarray:
+    """Which segments (n, 4) go on where the one before them ends, (n,)."""
+    onward = np.zeros(len(segments), dtype=bool)
+    onward[1:] = (segments[1:, 0] == segments[:-1, 1]) & (segments[1:, 2] == segments[:-1, 2])
+    return onward
 
 
 @dataclass(frozen=True)
@@ -204,13 +211,11 @@ class Model:
         """(n_segments, nx + extra) start states, the effects' memory included.
 
         What an input has been through does not depend on the state: NaN where its memory goes on from the segment
-        before. Where simulations are slow, all segments run side by side, and it begins anew with each.
+        before.
         """
         start = np.zeros((len(X0), self.nx + self.extra))
         start[:, :self.nx] = X0
-        U0, onward = U[segments[:, 0]], np.zeros(len(X0), dtype=bool)
-        if self.settings.plant.rhs is not None:
-            onward[1:] = (segments[1:, 0] == segments[:-1, 1]) & (segments[1:, 2] == segments[:-1, 2])
+        U0, onward = U[segments[:, 0]], _onward(segments)
         for k, e in enumerate(self.acting):
             o = self.II[k, 0]
             if e.effect.start == "input":
@@ -223,17 +228,33 @@ class Model:
         """Simulate every segment from its start (n_segments, nx + extra) into X and Y."""
         plant = self.settings.plant
         if plant.rhs is None:
-            found = simulate_columns(self, [Variant(p, Q, delay, start)], segments, U, sample_time, LIMIT)
+            variant = self._remembered(Variant(p, Q, delay, start), segments, U, sample_time)
+            found = simulate_columns(self, [variant], segments, U, sample_time, LIMIT)
             for a, b in segments[:, :2]:
                 X[a:b], Y[a:b] = found[0][0, a:b], found[1][0, a:b]
             return
         self._compiled(simulate_segments, start, segments, U, delay, sample_time, p, Q, X, Y)
 
+    def _remembered(self, variant: Variant, segments, U, sample_time: float) -> Variant:
+        """The variant with the memories that go on from a segment to the next, for segments that run side by side."""
+        onward = _onward(segments)
+        if not np.isnan(variant.start).any():
+            return variant
+        first = np.flatnonzero(~onward)
+        joined = segments[first].copy()
+        joined[:, 1] = segments[np.append(first[1:] - 1, len(segments) - 1), 1]
+        start, X = variant.start[first], np.zeros((len(U), self.nx + self.extra))
+        start[:, :self.nx] = 0.0
+        self._compiled(simulate_segments, start, joined, U, variant.delay, sample_time, variant.p, variant.Q, X,
+                       np.empty((len(U), len(self.settings.plant.output_names))))
+        return replace(variant, start=np.where(np.isnan(variant.start), X[segments[:, 0]], variant.start))
+
     def _compiled(self, simulate, start, segments, U, delay, sample_time: float, p, Q, *filled) -> None:
-        """Call one of the engine's functions, which fill X and Y, or the Y of several variants."""
+        """Call one of the engine's functions, which fill X and Y, or the Y of several variants; states rest where the
+        right-hand side is not compiled."""
         plant, s = self.settings.plant, self.settings
-        simulate(plant.rhs, plant.out, *self.kernels, len(self.located), self.nx, start, segments, U, delay,
-                 sample_time, 1 if plant.dt else self.substeps, float(s.first_order_hold), int(plant.dt > 0), p,
+        simulate(plant.rhs or still, plant.out or still, *self.kernels, len(self.located), self.nx, start, segments, U,
+                 delay, sample_time, 1 if plant.dt else self.substeps, float(s.first_order_hold), int(plant.dt > 0), p,
                  self.II, Q, self.proximal, s.partner, s.ratio, *filled, LIMIT)
 
     def simulate_many(self, asked, data: Dataset) -> list[np.ndarray]:
@@ -246,6 +267,7 @@ class Model:
             Q, delay = self.laws(self.parts(theta), data.U.shape[1])
             variants.append(Variant(self.parameters(theta), Q, delay, self.start(X0, data.U, data.segments)))
         if plant.rhs is None:
+            variants = [self._remembered(v, data.segments, data.U, data.sample_time) for v in variants]
             return list(simulate_columns(self, variants, data.segments, data.U, data.sample_time, LIMIT)[1])
         Y = np.empty((len(asked), *data.Y.shape))
         starts, delays, ps, Qs = (np.array([getattr(v, name) for v in variants]) for name in

@@ -14,7 +14,7 @@ import control
 
 from pwaid.mismatch import repaired_parts as parts
 from pwaid.mismatch.hypotheses import Hypothesis
-from pwaid.mismatch.lawsource import Law, law_functions
+from pwaid.mismatch.lawsource import FUNCTIONS, Law, law_functions
 from pwaid.mismatch.model import Model
 from pwaid.mismatch.plant import Plant
 from pwaid.mismatch.realise import realise
@@ -49,7 +49,7 @@ def repaired_source(hypothesis: Hypothesis, sample_time: float, simulator_source
     model, comments = hypothesis.fit.model, comments or {}
     laws = _laws(hypothesis)
     text = [_header(hypothesis)] if simulator_source is not None else []
-    text.append("from math import cos, exp, floor, sin, sqrt\n\nimport control\nimport numpy as np\n")
+    text.append(f"{FUNCTIONS}\n\nimport control\nimport numpy as np\n")
     if simulator_source is not None:
         text.append(parts.rule("the nominal simulator, unchanged") + without_future(simulator_source).rstrip()
                     + "\n\n\nnominal_build = build\n")

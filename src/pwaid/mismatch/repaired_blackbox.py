@@ -10,6 +10,7 @@ import numpy as np
 
 from pwaid.mismatch.effects import base as effect_base
 from pwaid.mismatch.hypotheses import Hypothesis
+from pwaid.mismatch.lawsource import FUNCTIONS
 from pwaid.mismatch.model import Model
 from pwaid.mismatch.repaired import without_future
 
@@ -79,7 +80,7 @@ def black_box_source(hypothesis: Hypothesis, sample_time: float, simulator_sourc
     lines = []
     if simulator_source is not None:
         lines += _header(hypothesis, rows)
-    lines += ["from math import cos, exp, floor, sin, sqrt", "", "import numpy as np", ""]
+    lines += [FUNCTIONS, "", "import numpy as np", ""]
     if simulator_source is not None:
         lines += ["# --- the nominal simulator, unchanged ---", without_future(simulator_source).rstrip(), "",
                   "nominal_build = build", ""]
