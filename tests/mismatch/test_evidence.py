@@ -6,7 +6,7 @@ from tests_support import gathered, record
 
 from pwaid.mismatch import evidence as module
 from pwaid.mismatch.decide import decide
-from pwaid.mismatch.screen import overlooked
+from pwaid.mismatch.screen import other_laws, overlooked, shortlist
 
 IDS = ("coulomb_friction", "actuator_lag", "sensor_offset", "cubic_stiffness")
 
@@ -34,3 +34,16 @@ def test_the_best_place_of_every_effect_left_out_is_looked_at():
     assert alive[0].located.effect.id not in ids and len(set(ids)) == len(ids)
     assert set(ids) | {alive[0].located.effect.id} == {s.located.effect.id for s in alive}
     assert all(s.score == max(a.score for a in alive if a.located.effect.id == s.located.effect.id) for s in rest)
+
+
+def test_the_other_law_of_an_effect_is_fitted_beside_it():
+    """A sensor's curve has a square and a cube; where one is chosen the other is too, once, at its best place."""
+    found = gathered([record(s, level=0.3) for s in (1, 2, 3)], "sensor_nonlinearity", "cubic_stiffness")
+    alive = [s for s in found.screened if s.score > 0]
+    curves = [s for s in alive if s.located.effect.id == "sensor_nonlinearity"]
+    assert len({s.located.effect.law for s in curves}) == 2
+    assert other_laws(curves[:1], alive) == [next(s for s in curves if s.located.effect.law !=
+                                                  curves[0].located.effect.law)]
+    assert other_laws(curves, alive) == []
+    chosen = {s.located.effect.law for s in shortlist(alive)}
+    assert {s.located.effect.law for s in curves} <= chosen

@@ -12,7 +12,7 @@ from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.fit import Fit, fit_model
 from pwaid.mismatch.model import Located, Model
 from pwaid.mismatch.nullfit import Problem
-from pwaid.mismatch.screen import Screened, run_jobs, screen
+from pwaid.mismatch.screen import Screened, other_laws, run_jobs, screen
 
 __all__ = ["Hypothesis", "fit_contained", "fit_screened", "fit_shortlist", "floor_square", "hypothesis_of",
            "inner_laws", "mean_square", "null_hypothesis", "on_whole", "share", "without"]
@@ -209,14 +209,7 @@ def fit_shortlist(problem: Problem, candidates: Sequence[Screened], jobs: int = 
     limit = 2 * tried[0][0][0].cost if tried else 0.0
     kept = [t for k, t in enumerate(tried) if (k < keep and t[0][0].cost < 50 * tried[0][0][0].cost)
             or t[1].located.effect.id in ids or (t[0][0].cost < limit and k < 2 * keep)]
-
-    laws = {(c.located.effect.id, c.located.effect.law) for _, c in kept}
-    ids = {name for name, _ in laws}
-    for t in tried:
-        law = t[1].located.effect.id, t[1].located.effect.law
-        if law[0] in ids and law not in laws:
-            kept.append(t)
-            laws.add(law)
+    kept += other_laws(kept, tried, lambda t: t[1].located)
 
     def finish(item):
         trials, candidate = item

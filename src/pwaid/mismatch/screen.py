@@ -22,7 +22,7 @@ from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.signatures import Signatures, mirrored, one_signed
 from pwaid.mismatch.structure import Structure
 
-__all__ = ["Screened", "locate_effects", "overlooked", "run_jobs", "screen", "shortlist"]
+__all__ = ["Screened", "locate_effects", "other_laws", "overlooked", "run_jobs", "screen", "shortlist"]
 
 ABSORBED = 1e-5  # a small signature of which less than this share is left is a nominal parameter in disguise
 AGAINST = 0.3  # factor on the score of a law that would have to act against its sign: the null may be bent far
@@ -100,13 +100,8 @@ def shortlist(screened: Sequence[Screened], top: int = 8, per_family: float = 0.
                      and s.located.place.signal == c.located.place.signal for c in chosen)
         if inside and s not in chosen:
             chosen.append(s)
-    laws = {(s.located.effect.id, s.located.effect.law) for s in chosen}
+    chosen += other_laws(chosen, alive)  # and so is another law of the same effect, at its best place
     ids = {s.located.effect.id for s in chosen}
-    for s in alive:  # and so is another law of the same effect, at its best place
-        law = s.located.effect.id, s.located.effect.law
-        if law[0] in ids and law not in laws:
-            chosen.append(s)
-            laws.add(law)
     families = {s.located.effect.family for s in chosen}
     for s in alive:
         effect = s.located.effect
@@ -120,6 +115,18 @@ def shortlist(screened: Sequence[Screened], top: int = 8, per_family: float = 0.
             families.add(effect.family)
             ids.add(effect.id)
     return chosen
+
+
+def other_laws(chosen: Sequence, ranked: Sequence, located=lambda s: s.located) -> list:
+    """The first in `ranked` of every law that effects among the chosen have besides the chosen ones."""
+    ids = {located(s).effect.id for s in chosen}
+    laws, found = {(located(s).effect.id, located(s).effect.law) for s in chosen}, []
+    for s in ranked:
+        law = located(s).effect.id, located(s).effect.law
+        if law[0] in ids and law not in laws:
+            laws.add(law)
+            found.append(s)
+    return found
 
 
 def overlooked(screened: Sequence[Screened], chosen: Sequence[Screened]) -> list[Screened]:
