@@ -103,10 +103,10 @@ def decide(problem: Problem, null: Hypothesis, singles: Sequence[Hypothesis], pa
     share = t.share if problem.floor.trusted else t.share_tentative
     if at_floor(problem, t):
         if _is_floor(problem, problem.test, problem.null_test.Y, t):
-            reasons.append("the refitted simulator is at the noise floor on the held-out recordings")
+            reasons.append("what the refitted simulator misses on the held-out recordings is less than their noise")
             return Decision(_agreement_or_parameters(problem, t), null, (), (), tuple(reasons))
-        reasons.append(f"{TOGETHER}, the simulator is at the noise floor on each: the training recordings alone do not "
-                       "determine its parameters")
+        reasons.append(f"{TOGETHER}, the simulator misses less than the noise on each: the training recordings alone "
+                       "do not determine its parameters")
         return Decision("parameters_only", null, (), (), tuple(reasons))
     passed, refused = _judge(problem, [h for h in singles if _passes(problem, h, null, share)], t, reasons)
     passed_pairs, more = _judge(problem, _passing_pairs(problem, null, singles, pairs, share, t), t, reasons)

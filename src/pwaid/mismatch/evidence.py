@@ -120,7 +120,7 @@ def _sound(problem, fitted) -> list[Hypothesis]:
 
 def _errs(problem, null) -> bool:
     """Whether there is anything to explain on held-out recordings."""
-    return null.test_error >= MATERIAL * floor_square(problem)
+    return not at_floor(problem, Thresholds()) and null.test_error >= MATERIAL * floor_square(problem)
 
 
 def _above_floor(problem, fitted, trifle: float = 0.0) -> bool:

@@ -6,6 +6,7 @@ import math
 import textwrap
 
 from pwaid.mismatch.decide import TOGETHER
+from pwaid.mismatch.thresholds import Thresholds
 
 __all__ = ["interval", "number", "plus_minus", "summary_text", "verdict_sentence", "with_interval"]
 
@@ -132,7 +133,7 @@ def verdict_sentence(c: dict) -> str:
 
 def _remains(ratio: float, size: str) -> str:
     """What is left when nothing was named; past the noise it is a disturbance, by the rule of the decision."""
-    if ratio > 1.3:
+    if ratio > Thresholds().material ** 0.5:
         return f" up to a disturbance that past inputs do not predict: {size}."
     return f" ({size})."
 
