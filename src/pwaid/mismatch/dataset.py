@@ -14,6 +14,12 @@ from pwaid.recording import Recording
 __all__ = ["Dataset"]
 
 
+def _end_to_end(lengths) -> np.ndarray:
+    """Segments (n, 4) of recordings of these lengths, each one segment."""
+    bounds = np.cumsum([0, *lengths])
+    return np.array([(a, b, a, b) for a, b in itertools.pairwise(bounds)], dtype=np.int64)
+
+
 @dataclass(frozen=True)
 class Dataset:
     """Inputs U (N, nu) and outputs Y (N, ny) of several recordings.
@@ -49,12 +55,10 @@ class Dataset:
             if r.input_names != first.input_names or r.output_names != first.output_names:
                 raise InputError(f"{r.name} has the channels {r.names} and {first.name} {first.names}; "
                                  "expected the same channels in the same order")
-        bounds = np.cumsum([0] + [len(r.time) for r in recordings])
-        rows = [(a, b, a, b) for a, b in itertools.pairwise(bounds)]
         return cls(tuple(r.name for r in recordings),
                    np.ascontiguousarray(np.vstack([r.inputs for r in recordings])),
                    np.ascontiguousarray(np.vstack([r.outputs for r in recordings])),
-                   np.array(rows, dtype=np.int64), float(first.sample_time))
+                   _end_to_end([len(r.time) for r in recordings]), float(first.sample_time))
 
     @property
     def recordings(self) -> np.ndarray:
@@ -74,10 +78,8 @@ class Dataset:
         """The first samples of every segment, each as a recording of its own."""
         lengths = np.minimum(samples, np.diff(self.segments[:, :2])[:, 0])
         keep = np.concatenate([np.arange(a, a + n) for a, n in zip(self.segments[:, 0], lengths, strict=True)])
-        bounds = np.cumsum([0, *lengths])
-        rows = np.array([(a, b, a, b) for a, b in itertools.pairwise(bounds)], dtype=np.int64)
-        return Dataset(tuple(map(str, range(len(rows)))), np.ascontiguousarray(self.U[keep]),
-                       np.ascontiguousarray(self.Y[keep]), rows, self.sample_time)
+        return Dataset(tuple(map(str, range(len(lengths)))), np.ascontiguousarray(self.U[keep]),
+                       np.ascontiguousarray(self.Y[keep]), _end_to_end(lengths), self.sample_time)
 
     def part(self, which: Sequence[int]) -> Dataset:
         """The chosen recordings as a data set of their own."""
@@ -103,7 +105,6 @@ class Dataset:
         """The first samples of every recording left out of the comparison; their inputs are kept as `before`."""
         rec = self.recordings
         keep = np.concatenate([np.arange(a + samples, b) for a, b in rec])
-        bounds = np.cumsum([0] + [b - a - samples for a, b in rec])
-        rows = np.array([(a, b, a, b) for a, b in itertools.pairwise(bounds)], dtype=np.int64)
-        return replace(self, U=np.ascontiguousarray(self.U[keep]), Y=np.ascontiguousarray(self.Y[keep]), segments=rows,
+        return replace(self, U=np.ascontiguousarray(self.U[keep]), Y=np.ascontiguousarray(self.Y[keep]),
+                       segments=_end_to_end([b - a - samples for a, b in rec]),
                        before=tuple(self.U[a:a + samples] for a, _ in rec))

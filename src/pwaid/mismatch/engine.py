@@ -32,8 +32,7 @@ from numba.core import cgutils
 from numba.core.errors import NumbaExperimentalFeatureWarning
 from numba.extending import intrinsic
 
-__all__ = ["EFFECT_TYPE", "OUT_TYPE", "RHS_TYPE", "idle", "simulate_segments", "simulate_variants",
-           "still"]
+__all__ = ["EFFECT_TYPE", "OUT_TYPE", "RHS_TYPE", "idle", "simulate_segments", "simulate_variants", "still"]
 
 # everything here is compiled at import; passing functions on to inner functions is what numba warns about
 warnings.filterwarnings("ignore", category=NumbaExperimentalFeatureWarning)

@@ -215,11 +215,11 @@ class Model:
         """
         start = np.zeros((len(X0), self.nx + self.extra))
         start[:, :self.nx] = X0
-        U0, onward = U[segments[:, 0]], _onward(segments)
         for k, e in enumerate(self.acting):
             o = self.II[k, 0]
             if e.effect.start == "input":
-                start[:, o:o + e.effect.extra_states] = np.where(onward, np.nan, U0[:, self.II[k, 8]])[:, None]
+                first = np.where(_onward(segments), np.nan, U[segments[:, 0], self.II[k, 8]])
+                start[:, o:o + e.effect.extra_states] = first[:, None]
             elif e.effect.start == "stored":
                 start[:, o] = X0[:, self.II[k, 4]]
         return start
@@ -237,10 +237,9 @@ class Model:
 
     def _remembered(self, variant: Variant, segments, U, sample_time: float) -> Variant:
         """The variant with the memories that go on from a segment to the next, for segments that run side by side."""
-        onward = _onward(segments)
         if not np.isnan(variant.start).any():
             return variant
-        first = np.flatnonzero(~onward)
+        first = np.flatnonzero(~_onward(segments))
         joined = segments[first].copy()
         joined[:, 1] = segments[np.append(first[1:] - 1, len(segments) - 1), 1]
         start, X = variant.start[first], np.zeros((len(U), self.nx + self.extra))

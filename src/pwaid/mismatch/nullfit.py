@@ -16,7 +16,7 @@ from pwaid.mismatch.floor import Floor, estimate_floor, white_level
 from pwaid.mismatch.model import LIMIT, Model, Settings
 from pwaid.mismatch.plant import Plant
 from pwaid.mismatch.probing import find_structure
-from pwaid.mismatch.sensitive import FOLLOWED, LOST, SHORTEST, steadied
+from pwaid.mismatch.sensitive import LOST, SHORTEST, follows, steadied
 from pwaid.mismatch.startscan import best_starts, scans, unseen_directions
 from pwaid.mismatch.structure import Structure
 
@@ -66,7 +66,7 @@ class Problem:
     def _opened(self, fit: Fit, data: Dataset) -> Fit:
         """The fit with start states that fit the first seconds of a segment, where they lead to less: in a motion that
         is sensitive, those of the whole segment end in the wrong valley."""
-        if self.plant.rhs is None or np.all(np.mean(fit.residual(data) ** 2, axis=0) < FOLLOWED * self.floor.level**2):
+        if self.plant.rhs is None or follows(self, fit, data):
             return fit
         first = data.openings(max(SHORTEST, int(6 * self.structure.time_scale / data.sample_time)))
         X0 = fit_starts(fit.model, first, self.sigma, fit.theta, self.measured(first), self.ranges, 12).X0

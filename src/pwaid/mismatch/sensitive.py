@@ -14,13 +14,18 @@ from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.fit import Fit, fit_model, fit_starts
 from pwaid.mismatch.startscan import best_starts
 
-__all__ = ["FOLLOWED", "LOST", "SHORTEST", "steadied"]
+__all__ = ["LOST", "SHORTEST", "follows", "steadied"]
 
 LOST = 0.5  # of an output's standard deviation
-FOLLOWED = 1.3  # mean square of what segments leave, relative to the floor's, at which nothing is missing inside them
+FOLLOWED = 1.3  # mean square of what is left, relative to the floor's, below which nothing is missing
 SLIGHT = 0.01  # of a state's range: a move of its start that a motion should outlive
 SHORTEST = 40  # samples of a segment
 HANDED = 4  # times that start states are handed on from one segment to the next
+
+
+def follows(problem, fit: Fit, data: Dataset) -> bool:
+    """Whether a simulation leaves no more than the noise floor of every output."""
+    return bool(np.all(np.mean(fit.residual(data) ** 2, axis=0) < FOLLOWED * problem.floor.level**2))
 
 
 def _off(Y, data: Dataset, beside) -> bool:
@@ -50,31 +55,25 @@ def steadied(problem):
         if samples < SHORTEST:
             break
         (train, nominal, null), (test, nominal_test, null_test) = _in_segments(problem, samples)
-        floor = FOLLOWED * problem.floor.level**2
-        calm = not any(_off(fit.Y, data, data.Y) or _parts(fit, data, problem.ranges) for fit, data in (
-            (null, train), (null_test, test)))
-        at_floor = all(np.all(np.mean(fit.residual(data) ** 2, axis=0) < floor)
-                       for fit, data in ((null, train), (null_test, test)))
-        if at_floor or calm:
+        sides = (null, train), (null_test, test)
+        nothing = all(follows(problem, fit, data) for fit, data in sides)
+        if nothing or not any(_off(fit.Y, data, data.Y) or _parts(fit, data, problem.ranges) for fit, data in sides):
             note = ("the motion is sensitive, no start state keeps it over a recording: segments of about "
                     f"{samples * train.sample_time:.3g} s, each with free start states")
             return replace(problem, train=train, test=test, coarse=train, nominal=nominal, null=null,
                            null_coarse=null, nominal_test=nominal_test, null_test=null_test,
-                           whole=None if at_floor else whole, notes=(*problem.notes, note))
+                           whole=None if nothing else whole, notes=(*problem.notes, note))
     return problem
 
 
 def _in_segments(problem, samples: int):
     """Data, nominal simulation and null in segments, for training and held-out recordings."""
-    sides, theta = [], None
-    for data, null in ((problem.train, problem.null), (problem.test, problem.null_test)):
-        cut, model = data.cut(samples), null.model
-        nominal = _handed_on(problem, null, 0 * null.theta, cut)
-        fit = (_handed_on(problem, null, theta, cut) if sides else
-               fit_model(model, cut, problem.sigma, nominal.theta, nominal.X0, problem.ranges, 20))
-        theta = fit.theta
-        sides.append((cut, nominal, fit))
-    return sides
+    null, null_test = problem.null, problem.null_test
+    train, test = problem.train.cut(samples), problem.test.cut(samples)
+    nominal = _handed_on(problem, null, 0 * null.theta, train)
+    fit = fit_model(null.model, train, problem.sigma, nominal.theta, nominal.X0, problem.ranges, 20)
+    return (train, nominal, fit), (test, _handed_on(problem, null_test, 0 * fit.theta, test),
+                                   _handed_on(problem, null_test, fit.theta, test))
 
 
 def _handed_on(problem, null: Fit, theta, cut: Dataset) -> Fit:
