@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from tests_support import gathered, record
+import numpy as np
+import pytest
+from tests_support import gathered, pushed, record
 
 from pwaid.mismatch import evidence as module
 from pwaid.mismatch.decide import decide
+from pwaid.mismatch.hypotheses import floor_square
 from pwaid.mismatch.screen import other_laws, overlooked, shortlist
 
 IDS = ("coulomb_friction", "actuator_lag", "sensor_offset", "cubic_stiffness")
@@ -47,3 +50,27 @@ def test_the_other_law_of_an_effect_is_fitted_beside_it():
     assert other_laws(curves, alive) == []
     chosen = {s.located.effect.law for s in shortlist(alive)}
     assert {s.located.effect.law for s in curves} <= chosen
+
+
+def test_what_the_best_effect_is_mistaken_for_is_fitted_beside_it(monkeypatch):
+    monkeypatch.setattr(module, "shortlist", lambda screened: [
+        s for s in screened if s.located.effect.id == "coulomb_friction"])
+    recordings = [record(s, level=0.3) for s in (1, 2, 3)]
+    found = gathered(recordings, "coulomb_friction", "actuator_deadzone", "sensor_offset")
+    places = [h.located[0].key for h in found.singles]
+    assert {h.ids[0] for h in found.singles} == {"coulomb_friction", "actuator_deadzone"}
+    assert len(set(places)) == len(places) and found.singles[0].ids == ("coulomb_friction",)
+    assert list(found.singles) == sorted(found.singles, key=lambda h: h.train_error)
+
+
+def test_laws_with_impacts_are_fitted_by_way_of_short_segments():
+    """Over whole recordings a stiff stop is rugged: without segments the fit leaves five thousand times the floor."""
+    def stop(x, v):
+        depth = np.sign(x) * max(abs(x) - 0.35, 0.0)
+        return -(600.0 * depth + 4.0 * v) if depth * (600.0 * depth + 4.0 * v) > 0 else 0.0
+
+    found = gathered([pushed(s, stop) for s in (1, 2, 3)], "end_stop", "cubic_stiffness")
+    best, floor = found.singles[0], floor_square(found.problem)
+    assert best.ids == ("end_stop",) and best.train_error < 3 * floor < 0.001 * found.null.train_error
+    stiffness, position, _ = best.values()[0]
+    assert position == pytest.approx(0.35, rel=0.01) and stiffness == pytest.approx(600.0, rel=0.1)

@@ -83,7 +83,7 @@ def test_refit_finds_what_a_full_fit_finds(problem, fitted, name):
 
 def test_refit_that_has_far_to_go_says_apart_as_a_full_fit_does(problem, fitted):
     quick, full = quick_and_full(problem, fitted["quadratic_drag"], fitted["coulomb_friction"].fit.Y)
-    assert quick > full > ALIKE
+    assert min(quick, full) > ALIKE
 
 
 def test_leading_takes_the_answer_first_and_no_law_twice(fitted):

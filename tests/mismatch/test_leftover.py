@@ -71,7 +71,8 @@ def test_a_stand_in_for_a_law_left_out_is_refused():
     evidence = collect(oscillator(), rubbing[:2], rubbing[2:], list(TRUE),
                        effects=[spring, *effect_by_id("actuator_deadzone")])
     strict, lenient = (decide(evidence.problem, evidence.null, evidence.singles, (), t)
-                       for t in (Thresholds(), Thresholds(validated=1.0, found=1.0, left=np.inf)))
+                       for t in (Thresholds(share_tentative=0.3),
+                                 Thresholds(share_tentative=0.3, validated=1.0, found=1.0, left=np.inf)))
     assert strict.verdict == "unexplained"
     assert any("maps of states and inputs on top of it raise" in r for r in strict.reasons)
     assert lenient.verdict == "named"  # without the maps, and parameters at their bounds forgiven, it passes

@@ -27,6 +27,16 @@ def two_masses(t, x, u, params):
     return np.array([x[1], (u[0] - torque) / params["Jm"], x[3], (torque - params["b"] * x[3]) / params["Jl"]])
 
 
+def twisted(t, x, u, params):
+    torque = params["k"] * x[2] + params["d"] * (x[0] - 2.0 * x[1])
+    return np.array([(u[0] - torque) / params["Jm"], (2.0 * torque - params["b"] * x[1]) / params["Jl"],
+                     x[0] - 2.0 * x[1]])
+
+
+def turntable(t, x, u, params):
+    return np.array([x[1], 9.0 * (0.2 - x[0]) - 4.0 * x[1], (u[0] - params["b"] * x[2]) / (params["J"] + x[0] ** 2)])
+
+
 def tanks(t, x, u, params):
     upper, lower = np.sqrt(np.maximum(x[0], 0.0)), np.sqrt(np.maximum(x[1], 0.0))
     return np.array([params["a"] * (u[0] + 3.0) - params["b"] * upper, params["b"] * upper - params["c"] * lower])
@@ -52,6 +62,11 @@ PLANTS = {  # simulator, input unit, output unit
     "two masses": (control.nlsys(two_masses, both_angles, inputs=["T"],
                                  outputs=["a", "c"], states=["a", "wa", "c", "wc"],
                                  params={"Jm": 1.0, "Jl": 2.0, "k": 40.0, "d": 0.3, "b": 0.2}), "N m", "rad"),
+    "twisted shaft": (control.nlsys(twisted, lambda t, x, u, params: x[:1], inputs=["T"], outputs=["wm"],
+                                    states=["wm", "wl", "twist"],
+                                    params={"k": 40.0, "Jm": 1.0, "Jl": 2.0, "d": 0.3, "b": 0.2}), "N m", "rad/s"),
+    "turntable": (control.nlsys(turntable, lambda t, x, u, params: x[2:], inputs=["T"], outputs=["w"],
+                                states=["r", "rdot", "w"], params={"J": 0.3, "b": 0.1}), "N m", "rad/s"),
     "tanks": (control.nlsys(tanks, lower_level, inputs=["pump"], outputs=["level"],
                             states=["h1", "h2"], params={"a": 0.3, "b": 0.5, "c": 0.4}), "V", "m"),
     "linear": (_linear(0.0), "N", "m"),

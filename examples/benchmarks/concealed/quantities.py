@@ -121,7 +121,7 @@ def _coriolis(v, entry, match):
 
 def _gain_asymmetry(v, entry, match):
     plus, minus = v["gain_positive"], v["gain_negative"]
-    return {"asymmetry": (plus - minus) / (plus + minus)}
+    return {"asymmetry": (plus - minus) / (plus + minus)} if "sign(u)" in match.get("law", "sign(u)") else {}
 
 
 def _sensor_nonlinearity(v, entry, match):

@@ -107,9 +107,11 @@ def predicted_rest(problem: Problem, h: Hypothesis, left, t: Thresholds) -> np.n
     return np.where((left >= t.left) & (rest > t.left_predicted), rest, 0.0)
 
 
-def likelihood_gain(problem: Problem, h: Hypothesis) -> float:
-    """Held-out log-likelihood of h over the null, both under the noise model of what h leaves in training."""
+def likelihood_gain(problem: Problem, h: Hypothesis, over: Hypothesis | None = None) -> float:
+    """Held-out log-likelihood of h over another one (the null), both under the noise model of what h leaves in
+    training."""
     noise = fit_noise(problem.train.Y - h.fit.Y, problem.train.segments)
-    before = noise.innovations(problem.test.Y - problem.null_test.Y, problem.test.segments)
+    other = problem.null_test.Y if over is None else over.test.Y
+    before = noise.innovations(problem.test.Y - other, problem.test.segments)
     after = noise.innovations(problem.test.Y - h.test.Y, problem.test.segments)
     return 0.5 * float(np.sum(before**2) - np.sum(after**2))

@@ -24,8 +24,9 @@ def _end_to_end(lengths) -> np.ndarray:
 class Dataset:
     """Inputs U (N, nu) and outputs Y (N, ny) of several recordings.
 
-    `segments` (n_segments, 4) holds first and last+1 sample of each segment, then of its recording;
-    the latter give delayed inputs their history. `before` holds inputs (n, nu) that precede each recording,
+    `segments` (n_segments, 4 or 5) holds first and last+1 sample of each segment, then of its recording;
+    the latter give delayed inputs their history. A fifth column counts the samples that ran before what is held of the
+    recording, for laws bound to the clock. `before` holds inputs (n, nu) that precede each recording,
     for simulators that can only start at rest; empty where there are none.
     """
 
@@ -63,23 +64,43 @@ class Dataset:
     @property
     def recordings(self) -> np.ndarray:
         """(n_recordings, 2) first and last+1 sample of each recording."""
-        return np.unique(self.segments[:, 2:], axis=0)
+        return np.unique(self.segments[:, 2:4], axis=0)
 
     def cut(self, samples: int) -> Dataset:
         """Segments of about `samples` samples instead of whole recordings."""
         rows = []
-        for a, b in self.recordings:
+        for recording in np.unique(self.segments[:, 2:], axis=0):
+            a, b = recording[:2]
             pieces = max(1, round((b - a) / samples))
             edges = np.linspace(a, b, pieces + 1).astype(np.int64)
-            rows += [(i, j, a, b) for i, j in itertools.pairwise(edges)]
+            rows += [(i, j, *recording) for i, j in itertools.pairwise(edges)]
         return replace(self, segments=np.array(rows, dtype=np.int64))
+
+    def windows(self, spans) -> tuple[Dataset, np.ndarray]:
+        """Stretches of samples (first, last+1), each a recording of its own that is cut where segments are and keeps
+        its clock; and the index of their samples here."""
+        keep, rows, names, new = [], [], [], 0
+        firsts, recordings = self.segments[:, 0], self.recordings
+        for a, b in spans:
+            own = int(np.searchsorted(recordings[:, 0], a, side="right")) - 1
+            ran = a - recordings[own, 0] + self._ran(recordings[own, 0])
+            edges = [a, *firsts[(firsts > a) & (firsts < b)], b]
+            rows += [(i - a + new, j - a + new, new, new + b - a, ran) for i, j in itertools.pairwise(edges)]
+            names.append(self.names[own])
+            keep.append(np.arange(a, b))
+            new += b - a
+        index = np.concatenate(keep)
+        return Dataset(tuple(names), np.ascontiguousarray(self.U[index]), np.ascontiguousarray(self.Y[index]),
+                       np.array(rows, dtype=np.int64), self.sample_time), index
+
+    def _ran(self, begin) -> int:
+        """Samples that ran before what is held of the recording that begins here."""
+        own = self.segments[self.segments[:, 2] == begin]
+        return int(own[0, 4]) if self.segments.shape[1] > 4 else 0
 
     def openings(self, samples: int) -> Dataset:
         """The first samples of every segment, each as a recording of its own."""
-        lengths = np.minimum(samples, np.diff(self.segments[:, :2])[:, 0])
-        keep = np.concatenate([np.arange(a, a + n) for a, n in zip(self.segments[:, 0], lengths, strict=True)])
-        return Dataset(tuple(map(str, range(len(lengths)))), np.ascontiguousarray(self.U[keep]),
-                       np.ascontiguousarray(self.Y[keep]), _end_to_end(lengths), self.sample_time)
+        return self.windows([(a, min(a + samples, b)) for a, b in self.segments[:, :2]])[0]
 
     def part(self, which: Sequence[int]) -> Dataset:
         """The chosen recordings as a data set of their own."""
@@ -89,7 +110,7 @@ class Dataset:
         for i in which:
             a, b = rec[i]
             for s in self.segments[(self.segments[:, 2] == a)]:
-                rows.append((s[0] - a + new, s[1] - a + new, new, new + b - a))
+                rows.append((s[0] - a + new, s[1] - a + new, new, new + b - a, *s[4:]))
             new += b - a
         return Dataset(tuple(self.names[i] for i in which), np.ascontiguousarray(self.U[keep]),
                        np.ascontiguousarray(self.Y[keep]), np.array(rows, dtype=np.int64), self.sample_time,
@@ -97,7 +118,8 @@ class Dataset:
 
     def and_also(self, other: Dataset) -> Dataset:
         """This data set and another of the same channels and sampling, as one."""
-        behind = other.segments + len(self.U)
+        behind = other.segments.copy()
+        behind[:, :4] += len(self.U)
         return Dataset(self.names + other.names, np.vstack([self.U, other.U]), np.vstack([self.Y, other.Y]),
                        np.vstack([self.segments, behind]), self.sample_time, self.before + other.before)
 

@@ -135,7 +135,8 @@ def _score(h: Hypothesis) -> float:
 
 
 def _passes(problem, h: Hypothesis, null: Hypothesis, share: float) -> bool:
-    if h.share < share or h.train_error >= null.train_error:
+    floor = floor_square(problem)
+    if h.share < share or null.train_error - h.train_error < share * (null.train_error - floor):
         return False
     before = errors_by_recording(problem, null.test.Y, problem.test)
     after = errors_by_recording(problem, h.test.Y, problem.test)

@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from pwaid.mismatch.effects.actuator import one_sided_gain
 from pwaid.mismatch.effects.registry import CATALOGUE
 from pwaid.mismatch.fit import Fit
 from pwaid.mismatch.model import LIMIT, Located, Model
@@ -54,7 +55,7 @@ def signatures(problem: Problem, fit: Fit) -> np.ndarray:
     room = len(fit.model.located) < 3
     found = []
     for c in locate_effects([e for e in CATALOGUE if e.id in SMALL], problem.structure) if room else ():
-        if (c.effect.id, c.place.signal) not in taken:
+        if (c.effect.id, c.place.signal) not in taken and c.effect.kernel is not one_sided_gain:
             s = _signature(problem, fit, c)
             if s is not None:
                 found.append(s)

@@ -79,13 +79,13 @@ def _mobility(rhs, t, x, u, p, col, ii, head, base, us, xs):
     """Acceleration per unit force at the place ii describes, into col; head is its first nx numbers, xs the plant's."""
     for i in range(col.size):
         col[i] = 0.0
-    if ii[1] == 0:
+    if ii[1] != 1:
         for i in range(xs.size):
             xs[i] = x[i]
         for j in range(u.size):
             us[j] = u[j]
         rhs(t, xs, us, p, base)
-        us[ii[2]] += 1.0
+        us[ii[2]] += 1.0 if ii[1] == 0 else -1.0
         rhs(t, xs, us, p, head)
         for i in range(xs.size):
             head[i] -= base[i]
@@ -182,12 +182,13 @@ def _loop(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, dis
     for g in range(segments.shape[0]):
         first, last = segments[g, 0], segments[g, 1]
         begin, end = segments[g, 2], segments[g, 3]  # the recording's samples: history of delayed inputs
+        ran = segments[g, 4] if segments.shape[1] > 4 else 0
         for i in range(nt):
             if not np.isnan(X0[g, i]):  # a memory that goes on from the segment before
                 x[i] = X0[g, i]
         alive = True
         for sample in range(first, last):
-            t = (sample - begin) * Ts
+            t = (sample - begin + ran) * Ts
             _input_at(U, begin, end, sample, 0, S, delay, u, Ts, 0.0)
             for i in range(nt):
                 X[sample, i] = x[i]

@@ -13,9 +13,12 @@ import numpy as np
 from pwaid.mismatch.adequacy import stretched
 from pwaid.mismatch.decide import at_floor
 from pwaid.mismatch.effects.base import Effect
+from pwaid.mismatch.fit import fit_model
 from pwaid.mismatch.hypotheses import (
     Hypothesis,
+    fit_by_segments,
     fit_contained,
+    fit_lookalikes,
     fit_shortlist,
     floor_square,
     hypothesis_of,
@@ -24,6 +27,7 @@ from pwaid.mismatch.hypotheses import (
 )
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.pairs import fit_inner, fit_joint, fit_members, fit_pairs, fit_reversed, fit_swaps
+from pwaid.mismatch.scout import scouted
 from pwaid.mismatch.screen import Screened, locate_effects, overlooked, run_jobs, screen, shortlist
 from pwaid.mismatch.thresholds import Thresholds
 from pwaid.mismatch.vetoes import veto
@@ -34,13 +38,16 @@ KEPT = 2.0  # times the noise floor
 # Times the floor's mean square: above MATERIAL the null errs; a law that leaves at most REACHED of it in training, and
 # CARRIED on held-out recordings, leaves nothing to look for.
 MATERIAL, REACHED, CARRIED = 1.25, 1.2, 2.0
+LED, STRANDED = 3, 0.7  # singles whose parameters the null is tried at, and times its cost that shows it was stranded
+PROMOTED = 8  # singles, and pairs, of a search on stretches that are fitted to all recordings
 
 
 @dataclass(frozen=True)
 class Evidence:
     """The refitted null, the screen, and the fitted single effects and pairs of one problem, best first.
 
-    `tried` counts hypotheses, `notes` holds what hygiene found, `loop` the controller's loop where it is known.
+    `tried` counts hypotheses, `notes` holds what hygiene found, `loop` the controller's loop where it is known;
+    `lower` are nominal parameters (n_free,) at which the null errs far less than where its refit ended.
     """
 
     problem: Problem
@@ -51,12 +58,51 @@ class Evidence:
     tried: int
     notes: tuple[str, ...] = ()
     loop: object = None
+    lower: np.ndarray | None = None
 
 
-def gather(problem: Problem, catalogue: Sequence[Effect], notes: Sequence[str] = (), jobs: int = 1,
-           progress: Callable | None = None) -> Evidence:
-    """Screen the catalogue at every place this simulator offers, fit the best, and pairs where they may matter."""
+def gather(problem: Problem, notes: Sequence[str], catalogue: Sequence[Effect], jobs: int = 1,
+           progress: Callable | None = None, settled: bool = False) -> Evidence:
+    """Screen the catalogue at every place this simulator offers, fit the best, and pairs where they may matter.
+
+    Long recordings are searched on stretches first; what is found there is fitted to all of them. A search that finds
+    the null stranded stops with `Evidence.lower`, unless that is `settled`.
+    """
     say = progress or (lambda fraction, text: None)
+    small = scouted(problem)
+    found = _search(small or problem, catalogue, jobs, say, settled)
+    singles, pairs = found.singles, found.pairs
+    if small is not None and found.lower is None:
+        say(0.75, f"fitting what {len(small.train.U)} samples show to all {len(problem.train.U)}")
+        singles, pairs = (_promoted(problem, fitted, jobs) for fitted in (singles, pairs))
+        if problem.whole is not None and singles and _keeps_whole(problem, singles[0]):
+            problem = problem.uncut()
+            singles, pairs = (_judged(problem, fitted, jobs) for fitted in (singles, pairs))
+        found = replace(found, problem=problem, null=null_hypothesis(problem))
+        notes = (*notes, f"candidates were looked for on {len(small.train.U)} of {len(problem.train.U)} training "
+                         "samples, and the best were fitted to all")
+    return replace(found, singles=tuple(singles), pairs=tuple(pairs), notes=tuple(notes))
+
+
+def _promoted(problem: Problem, fitted: Sequence[Hypothesis], jobs: int) -> list[Hypothesis]:
+    """The best of what was fitted to stretches, fitted to everything, best first."""
+
+    def refit(h):
+        coarse = fit_model(h.coarse.model, problem.coarse, problem.sigma, h.coarse.theta, problem.null_coarse.X0,
+                           problem.ranges, 20, 3e-4)
+        return replace(h, coarse=problem.rescanned(coarse))
+
+    return _judged(problem, run_jobs(refit, fitted[:PROMOTED], jobs), jobs)
+
+
+def _judged(problem: Problem, fitted: Sequence[Hypothesis], jobs: int) -> list[Hypothesis]:
+    """Hypotheses with their fits on the problem's recordings from those on its segments, best first."""
+    return _sorted(run_jobs(lambda h: hypothesis_of(problem, on_whole(problem, h.coarse), h.score, h.coarse), fitted,
+                            jobs))
+
+
+def _search(problem: Problem, catalogue: Sequence[Effect], jobs: int, say: Callable, settled: bool) -> Evidence:
+    """The search on the problem as it is."""
     located = locate_effects(catalogue, problem.structure)
     say(0.15, f"screening {len(located)} candidates")
     null = null_hypothesis(problem)
@@ -70,17 +116,34 @@ def gather(problem: Problem, catalogue: Sequence[Effect], notes: Sequence[str] =
         say(0.45, "fitting effects that the screen does not see")
         singles += fit_shortlist(problem, overlooked(screened, chosen), jobs, keep=2)
     singles = fit_contained(problem, _sorted(singles), located, jobs)
+    if singles and _errs(problem, null):
+        singles = fit_lookalikes(problem, singles, located, jobs)
+        if problem.plant.rhs is not None and _short_of_floor(problem, null, singles):
+            singles = fit_by_segments(problem, singles, screened, jobs)
     if problem.whole is not None and singles and _keeps_whole(problem, singles[0]):
         problem = problem.uncut()
-        null = null_hypothesis(problem)
-        singles = _sorted(run_jobs(lambda h: hypothesis_of(problem, on_whole(problem, h.coarse), h.score, h.coarse),
-                                   singles, jobs))
+        null, singles = null_hypothesis(problem), _judged(problem, singles, jobs)
+    lower = None if settled or not _errs(problem, null) else _lower_valley(problem, singles)
     pairs = []
-    if singles and _errs(problem, null) and _short_of_floor(problem, null, singles):
+    if singles and lower is None and _errs(problem, null) and _short_of_floor(problem, null, singles):
         say(0.6, "fitting pairs")
         singles, pairs = _pairs(problem, null, singles, located, jobs)
     return Evidence(problem, null, tuple(screened), tuple(singles), tuple(pairs), len(located) + len(pairs),
-                    tuple(notes))
+                    lower=lower)
+
+
+def _lower_valley(problem: Problem, singles: Sequence[Hypothesis]) -> np.ndarray | None:
+    """Nominal parameters at which the null errs far less than where its own refit was stranded, or None.
+
+    A law of hardly any size may lead them there.
+    """
+    null = problem.null_coarse
+    for h in singles[:LED]:
+        theta = h.coarse.theta[:null.model.np]
+        fit = fit_model(null.model, problem.coarse, problem.sigma, theta, h.coarse.X0, problem.ranges, 8)
+        if fit.cost < STRANDED * null.cost:
+            return fit.theta
+    return None
 
 
 def _pairs(problem, null, singles, located, jobs):

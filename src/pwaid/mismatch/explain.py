@@ -124,13 +124,20 @@ def collect(simulator, train, test=None, free_parameters=None, *, units=None, to
         notes.append(wait)
     say(0.02, "refitting the nominal simulator")
     groups, dropped = _repeats(repeats, (*train, *test))
-    problem = prepare(plant, data, held, [units.get(n, "") for n in train[0].input_names],
-                      [units.get(n, "") for n in train[0].output_names], free_parameters, tolerances,
-                      noise_floor, groups, hold == "first")
-    notes += [*dropped, *hygiene(problem, closed_loop, loop is not None)]
-    problem = with_feedback(problem, closed_loop or loop is not None)
+
+    def posed(start=None):
+        problem = prepare(plant, data, held, [units.get(n, "") for n in train[0].input_names],
+                          [units.get(n, "") for n in train[0].output_names], free_parameters, tolerances,
+                          noise_floor, groups, hold == "first", start)
+        said = hygiene(problem, closed_loop, loop is not None)
+        return with_feedback(problem, closed_loop or loop is not None), [*notes, *dropped, *said]
+
     catalogue = [e for e in (CATALOGUE if effects is None else effects) if e.id not in without]
-    return replace(gather(problem, catalogue, notes, jobs, say), loop=loop)
+    evidence = gather(*posed(), catalogue, jobs, say)
+    if evidence.lower is not None:
+        say(0.02, "refitting the nominal simulator from where a law led its parameters")
+        evidence = gather(*posed(evidence.lower), catalogue, jobs, say, settled=True)
+    return replace(evidence, loop=loop)
 
 
 def conclude(evidence: Evidence, thresholds: Thresholds | None = None, started: float | None = None,

@@ -9,15 +9,18 @@ from dataclasses import dataclass
 import numpy as np
 
 from pwaid.mismatch.dataset import Dataset
-from pwaid.mismatch.fit import Fit, fit_model
+from pwaid.mismatch.fit import Fit, fit_model, fit_starts, rough
 from pwaid.mismatch.model import Located, Model
 from pwaid.mismatch.nullfit import Problem
-from pwaid.mismatch.screen import Screened, other_laws, run_jobs, screen
+from pwaid.mismatch.screen import Screened, other_laws, overlooked, run_jobs, screen
+from pwaid.mismatch.sensitive import SHORTEST
 
-__all__ = ["Hypothesis", "fit_contained", "fit_screened", "fit_shortlist", "floor_square", "hypothesis_of",
-           "inner_laws", "mean_square", "null_hypothesis", "on_whole", "share", "without"]
+__all__ = ["Hypothesis", "fit_by_segments", "fit_contained", "fit_lookalikes", "fit_screened", "fit_shortlist",
+           "floor_square", "hypothesis_of", "inner_laws", "mean_square", "null_hypothesis", "on_whole", "share",
+           "without"]
 
 TORN = 0.3  # times the error on whole recordings: below it, segments fit far better than what they are joined to
+BRIEF = 2.5  # time constants of a segment over which no impact parts two motions
 AT_FLOOR = 1.1  # times the floor's mean square: a fit below it has lost no start state
 
 
@@ -87,23 +90,15 @@ def null_hypothesis(problem: Problem) -> Hypothesis:
 
 def _window(problem: Problem, base: Fit, samples: int = 600) -> tuple[Dataset, np.ndarray]:
     """The quarter of each recording where the residual is largest, with the start states simulated there."""
-    data = problem.coarse
+    data, spans = problem.coarse, []
     energy = np.sum(((data.Y - base.Y) / problem.sigma) ** 2, axis=1)
-    keep, rows, starts, new = [], [], [], 0
     for a, b in data.recordings:
         n = int(min(b - a, max(samples, (b - a) // 4)))
         running = np.cumsum(np.concatenate([[0.0], energy[a:b]]))
         first = a + int(np.argmax(running[n:] - running[:-n]))
-        inner = [s for s in data.segments[:, 0] if first < s < first + n]  # keep the segments' cuts
-        edges = [first, *inner, first + n]
-        for i, j in itertools.pairwise(edges):
-            rows.append((i - first + new, j - first + new, new, new + n))
-            starts.append(base.X[i, :base.model.nx])
-        keep.append(np.arange(first, first + n))
-        new += n
-    index = np.concatenate(keep)
-    return Dataset(data.names, np.ascontiguousarray(data.U[index]), np.ascontiguousarray(data.Y[index]),
-                   np.array(rows, dtype=np.int64), data.sample_time), np.array(starts)
+        spans.append((first, first + n))
+    part, index = data.windows(spans)
+    return part, base.X[index[part.segments[:, 0]], :base.model.nx]
 
 
 def _trials(problem: Problem, base: Fit, candidate: Screened) -> list[Fit]:
@@ -157,17 +152,18 @@ def on_whole(problem: Problem, coarse: Fit, iterations: int = 20) -> Fit:
                         3e-4)
     if mean_square(problem, coarse, problem.coarse) > TORN * mean_square(problem, fit, problem.train):
         return fit
-    return min(fit, _joined(problem, coarse, iterations), key=lambda f: f.cost)
+    return min(fit, _joined(problem, coarse, problem.coarse, problem.train, iterations), key=lambda f: f.cost)
 
 
-def _joined(problem: Problem, coarse: Fit, iterations: int) -> Fit:
-    """The fit on the training recordings by way of segments that grow threefold, each started where the last one is."""
-    fit, length = coarse, int(np.max(np.diff(problem.coarse.segments[:, :2])))
+def _joined(problem: Problem, fit: Fit, data: Dataset, target: Dataset, iterations: int) -> Fit:
+    """The fit on `target` from one on its segments, by way of segments that grow threefold, each started where the last
+    one is."""
+    length = int(np.max(np.diff(data.segments[:, :2])))
     while True:
         length *= 3
-        longer = problem.train.cut(length)
-        whole = len(longer.segments) == len(problem.train.segments)
-        data = problem.train if whole else longer
+        longer = target.cut(length)
+        whole = len(longer.segments) <= len(target.segments)
+        data = target if whole else longer
         X0 = fit.X[data.segments[:, 0], :fit.model.nx]
         fit = fit_model(fit.model, data, problem.sigma, fit.theta, X0, problem.ranges, iterations if whole else 8, 3e-4)
         if whole:
@@ -245,16 +241,68 @@ def fit_contained(problem: Problem, singles: Sequence[Hypothesis], located: Sequ
 
     A simpler law can stall where the null bent those parameters; the larger law has straightened them.
     """
-    known = {h.located[0].key: h for h in singles}
+    found = list(singles)
     for outer in singles[:count]:
         inner = inner_laws(outer.located[0], located)
-        if not inner:
-            continue
-        model, theta = problem.null_coarse.model, outer.coarse.theta[:outer.coarse.model.np]
-        Y, X = model.simulate(theta, outer.coarse.X0, problem.coarse)
-        base = Fit(model, theta, outer.coarse.X0, np.inf, Y, X, 0)
-        for h in fit_screened(problem, base, inner, jobs):
-            rival = known.get(h.located[0].key)
-            if rival is None or h.train_error < rival.train_error:
-                known[h.located[0].key] = h
+        if inner:
+            found += fit_screened(problem, _nominal_of(problem, outer), inner, jobs)
+    return _best_of_each(found)
+
+
+def fit_lookalikes(problem: Problem, singles: Sequence[Hypothesis], located: Sequence[Located],
+                   jobs: int = 1) -> list[Hypothesis]:
+    """The singles, with the effects that the best one is mistaken for, each at its best place, where they are missing.
+
+    Nothing is named before what resembles it has been fitted.
+    """
+    best, fitted = singles[0], {i for h in singles for i in h.ids}
+    alike = [c for c in located if c.effect.id in best.located[0].effect.confused_with and c.effect.id not in fitted]
+    if not alike:
+        return list(singles)
+    base = _nominal_of(problem, best)
+    places = overlooked(screen(problem, base, alike, jobs), ())
+    return _best_of_each([*singles, *fit_shortlist(problem, places, jobs, base=base)])
+
+
+def fit_by_segments(problem: Problem, singles: Sequence[Hypothesis], screened: Sequence[Screened], jobs: int = 1,
+                    count: int = 4) -> list[Hypothesis]:
+    """The singles, with the best ones that hold impacts or dry friction fitted again from short segments that grow.
+
+    A stop, a gap or a stick parts motions that start side by side, so over a whole recording the error is rugged; over
+    a few samples it is not, and every start of the screen is tried there.
+    """
+    seen = {s.located.key: s for s in screened}
+    asked = [seen[h.located[0].key] for h in singles if rough(h.fit.model) and h.located[0].key in seen][:count]
+    return _best_of_each([*singles, *run_jobs(lambda s: _grown(problem, s), asked, jobs)])
+
+
+def _grown(problem: Problem, candidate: Screened) -> Hypothesis:
+    """The hypothesis that a fit on short segments, from the best of the screen's starts, grows into."""
+    null, model = problem.null_coarse, Model(problem.settings, (candidate.located,))
+    length = max(SHORTEST, int(BRIEF * problem.structure.time_scale / problem.train.sample_time))
+    data = problem.coarse.cut(length)
+    X0, trials = problem.measured(data), []
+    for z, nominal in itertools.product(candidate.starts, (null.theta, 0 * null.theta)):
+        theta = np.concatenate([nominal, z])
+        near = fit_starts(model, data, problem.sigma, theta, X0, problem.ranges)
+        trials.append(fit_model(model, data, problem.sigma, theta, near.X0, problem.ranges, 8, 1e-3))
+    best = min(trials, key=lambda f: f.cost)
+    best = fit_model(model, data, problem.sigma, best.theta, best.X0, problem.ranges)
+    coarse = _joined(problem, best, data, problem.coarse, 20)
+    return hypothesis_of(problem, on_whole(problem, coarse), candidate.score, coarse)
+
+
+def _nominal_of(problem: Problem, h: Hypothesis) -> Fit:
+    """The simulator without any law, at the nominal parameters and start states of a fitted hypothesis."""
+    model, theta = problem.null_coarse.model, h.coarse.theta[:h.coarse.model.np]
+    return Fit(model, theta, h.coarse.X0, np.inf, *model.simulate(theta, h.coarse.X0, problem.coarse), 0)
+
+
+def _best_of_each(fitted: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """The fit of every law at every place that leaves least in training, best first."""
+    known: dict = {}
+    for h in fitted:
+        rival = known.get(h.located[0].key)
+        if rival is None or h.train_error < rival.train_error:
+            known[h.located[0].key] = h
     return sorted(known.values(), key=lambda h: h.train_error)

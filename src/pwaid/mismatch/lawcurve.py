@@ -36,5 +36,5 @@ def law_over(problem: Problem, hypothesis: Hypothesis, variable: str, z: np.ndar
         kernel(2, 0.0, 0.0, x, x, u, p, dx, ii, q)
         if located.effect.proximal:
             kernel(5, 0.0, 0.0, x, column, u, p, slid, ii, q)
-        out[k] = np.sum(u - before) + np.sum(dx) / mobility + np.sum(slid)
+        out[k] = (-1.0 if ii[1] == 2 else 1.0) * np.sum(u - before) + np.sum(dx) / mobility + np.sum(slid)
     return out if np.all(np.isfinite(out)) else None

@@ -274,7 +274,7 @@ class _Calls(ast.NodeTransformer):
         if call.func.id != "push":
             return node
         through, target, inertia = (int(v) for v in self.row[1:4])
-        if self.phase != (1 if through == 0 else 2):
+        if self.phase != (2 if through == 1 else 1):
             return None
         force, sign = call.args[1], ast.Add()
         if isinstance(force, ast.UnaryOp) and isinstance(force.op, ast.USub):
@@ -282,9 +282,11 @@ class _Calls(ast.NodeTransformer):
         elif isinstance(force, ast.BinOp) and isinstance(force.op, ast.Mult):
             force, negative = _without_minus(force)
             sign = ast.Sub() if negative else sign
-        if through != 0 and inertia >= 0:
+        if through == 1 and inertia >= 0:
             force = ast.BinOp(force, ast.Div(), _element("p", inertia))
-        return ast.AugAssign(_element("u" if through == 0 else "dx", target, ast.Store()), sign, force)
+        if through == 2:
+            sign = ast.Add() if isinstance(sign, ast.Sub) else ast.Sub()
+        return ast.AugAssign(_element("dx" if through == 1 else "u", target, ast.Store()), sign, force)
 
 
 def _without_minus(product):

@@ -21,6 +21,7 @@ from pwaid.mismatch.fit import Fit, jacobian, weighted
 from pwaid.mismatch.model import Located, Model
 from pwaid.mismatch.noise import NoiseModel, fit_noise
 from pwaid.mismatch.nullfit import Problem
+from pwaid.mismatch.scout import evenly, part_of
 from pwaid.mismatch.signatures import StartsOut
 
 __all__ = ["Leftover", "leftover"]
@@ -30,6 +31,7 @@ LAGS = (1, 2, 4, 8)  # samples by which an input or a reading may come later
 SMALL = 0.01  # of the force scale: the size of an injected hat
 RIDGES = (1e-5, 1e-4, 1e-3, 1e-2, 1e-1)  # of the mean square of a response, per sample
 BLOCKS, FOLDS = 10, 5
+LONG = 12000  # samples: longer recordings are judged on stretches, evenly spaced
 
 
 @dataclass(frozen=True)
@@ -175,6 +177,8 @@ def leftover(problem: Problem, fit: Fit, held: Fit) -> Leftover | None:
     """
     if problem.plant.black_box is not None or problem.plant.rhs is None or len(fit.model.located) > 2:
         return None
+    held_out = len(problem.test.U)
+    problem, fit, held = _on_stretches(problem, fit, held)
     train, test = problem.train, problem.test
     sides = [(data, *_signals(problem, data, f, S)) for data, f, S in
              zip((train, test), (fit, held), _responses(problem, fit, held), strict=True)]
@@ -184,4 +188,17 @@ def leftover(problem: Problem, fit: Fit, held: Fit) -> Leftover | None:
     noise = fit_noise((e - A @ w).reshape(train.Y.shape), train.segments)
     (e, A), (q, B) = (_free_of_starts(data, *(_white(noise, data, M) for M in both)) for data, *both in sides)
     rest = q - B @ _weights(A, e, _folds(train))[0]
-    return Leftover(before, after, validated, 0.5 * float(q @ q - rest @ rest))
+    evidence = 0.5 * float(q @ q - rest @ rest) * held_out / len(test.U)
+    return Leftover(before, after, validated, evidence)
+
+
+def _on_stretches(problem: Problem, fit: Fit, held: Fit) -> tuple[Problem, Fit, Fit]:
+    """The same on stretches of long recordings: some hundred responses to all of them would not fit in memory."""
+    found = []
+    for data, f in ((problem.train, fit), (problem.test, held)):
+        if len(data.U) > LONG:
+            data, index = data.windows(evenly(problem, data, LONG))
+            f = part_of(f, data, index)
+        found.append((data, f))
+    (train, fit), (test, held) = found
+    return replace(problem, train=train, test=test), fit, held

@@ -110,6 +110,7 @@ class Settings:
     free: tuple[str, ...]
     tolerance: np.ndarray
     substeps: int = 1
+    sliding: int = 1  # substeps that dry friction needs at least
     first_order_hold: bool = False
     feedback: bool = False  # the recordings come from a closed loop
 
@@ -134,7 +135,7 @@ class Model:
         self.substeps = substeps or max(
             [settings.substeps] + [max(4, settings.substeps) for e in located if e.effect.id in
                                    ("end_stop", "backlash", "presliding_friction", "overflow")]
-            + [max(2, settings.substeps) for e in located if e.effect.proximal])
+            + [max(2, settings.substeps, settings.sliding) for e in located if e.effect.proximal])
         self.positions = np.array([list(plant.parameters).index(n) for n in settings.free], dtype=int)
         self.np, self.nz = len(self.positions), sum(e.size for e in self.located)
         self.extra = sum(e.effect.extra_states for e in self.located)

@@ -23,6 +23,7 @@ from pwaid.mismatch.structure import Structure
 __all__ = ["Problem", "first_states", "prepare"]
 
 DEFAULT_TOLERANCE = 0.3
+SLIDING, MOST = 0.5, 16  # of the fastest time constant: a step that dry friction stays stable with; substeps at most
 UNSTABLE = 4.0  # growth over a recording, in time constants, that no start state can follow
 
 
@@ -92,6 +93,17 @@ class Problem:
         options += scans(self, fit, fit.X0, self.train)
         return self._opened(best_starts(self, fit, fit, options, self.train), self.train)
 
+    def kept(self) -> Problem:
+        """The problem with start states of the null looked for again, on training and held-out recordings, where it is
+        not at the floor: one that was lost would pass for physics left out."""
+        again, null = self.restarted(self.null), self.null
+        if again is not null:
+            found = fit_model(again.model, self.train, self.sigma, again.theta, again.X0, self.ranges, 20)
+            null = min(null, found, key=lambda f: f.cost)
+        same = self.null_coarse is self.null
+        problem = replace(self, null=null, null_coarse=null if same else self.null_coarse)
+        return replace(problem, null_test=problem.heldout(null))
+
     @cached_property
     def together(self) -> Fit:
         """The null refitted to the training and the held-out recordings at once, the latter behind the former."""
@@ -151,7 +163,7 @@ def first_states(plant: Plant, structure_map, data: Dataset) -> np.ndarray:
     output_state = shown.state
     nx = plant.sizes[0]
     X0 = np.zeros((len(data.segments), nx))
-    for g, (a, b, _, _) in enumerate(data.segments):
+    for g, (a, b) in enumerate(data.segments[:, :2]):
         m = int(min(b - a, 12))
         tt = np.arange(m) * data.sample_time
         for k, i in enumerate(output_state):
@@ -179,11 +191,12 @@ def _positive_start(plant, X0, data):
     return lifted
 
 
-def _growth(plant: Plant, states, inputs) -> float:
-    """Largest real part of the linearisation's eigenvalues (per second), median over visited points."""
+def _eigenvalues(plant: Plant, states, inputs) -> tuple[float, float]:
+    """Largest real part and largest modulus of the linearisation's eigenvalues (per second), medians over visited
+    points."""
     found = []
     if plant.black_box is not None or not plant.sizes[0]:
-        return -np.inf  # nothing that pwaid could restart in the middle of a recording
+        return -np.inf, 0.0  # nothing that pwaid could restart in the middle of a recording
     rng = np.random.default_rng(0)
     for k in rng.integers(0, len(states), 8):
         x, u = states[k], inputs[k]
@@ -200,8 +213,9 @@ def _growth(plant: Plant, states, inputs) -> float:
         eigenvalues = np.linalg.eigvals(J)
         if plant.dt:
             eigenvalues = np.log(np.maximum(np.abs(eigenvalues), 1e-12)) / plant.dt
-        found.append(np.max(eigenvalues.real))
-    return float(np.median(found)) if found else 0.0
+        found.append((np.max(eigenvalues.real), np.max(np.abs(eigenvalues))))
+    growth, fastest = np.median(found, axis=0) if found else (0.0, 0.0)
+    return float(growth), float(fastest)
 
 
 def _substeps(model: Model, theta, X0, data: Dataset) -> int:
@@ -237,8 +251,10 @@ def segment_length(growth: float, samples: int, sample_time: float, time_scale: 
 
 
 def prepare(plant: Plant, train: Dataset, test: Dataset, input_units, output_units, free=None, tolerance=None,
-            noise_floor=None, repeats=(), first_order_hold: bool = False) -> Problem:
+            noise_floor=None, repeats=(), first_order_hold: bool = False, start=None) -> Problem:
     """Refit the nominal simulator and gather what the hypotheses need.
+
+    `start` : parameters on the fitted axis (n_free,) from which the refit is tried too.
 
     Raises
     ------
@@ -260,12 +276,13 @@ def prepare(plant: Plant, train: Dataset, test: Dataset, input_units, output_uni
     theta = np.zeros(model.size)
     scale = np.std(train.Y, axis=0) + 1e-12
 
-    growth = _growth(plant, _state_cloud(plant, rough, train), train.U)
+    growth, fastest = _eigenvalues(plant, _state_cloud(plant, rough, train), train.U)
     longest = int(np.max(np.diff(train.recordings)))
     samples = segment_length(growth, longest, train.sample_time, rough.time_scale)
     coarse = train.cut(samples)
     X0 = _starts(model, theta, coarse, mapping)
-    model = Model(replace(settings, substeps=_substeps(model, theta, X0, coarse)))
+    sliding = 1 if plant.dt else int(np.clip(np.ceil(fastest * train.sample_time / SLIDING), 1, MOST))
+    model = Model(replace(settings, substeps=_substeps(model, theta, X0, coarse), sliding=sliding))
     Y, X = model.simulate(theta, X0, coarse)
     notes += _diverging(Y)
     ranges = np.minimum(np.maximum(np.quantile(np.abs(X[np.all(np.isfinite(X), axis=1)]), 0.99, axis=0), 1e-9), 1e6)
@@ -274,11 +291,13 @@ def prepare(plant: Plant, train: Dataset, test: Dataset, input_units, output_uni
         if i >= 0:
             ranges[i] = np.max(np.abs(rough.shown.state_of(k, train.Y[:, k]))) + 1e-9
     nominal = fit_starts(model, coarse, scale, theta, X0, ranges, 12)
-    first = _null(model, coarse, scale, nominal, ranges, rough.time_scale)
+    first = _null(model, coarse, scale, nominal, ranges, rough.time_scale, start)
     fits, whole = (first, nominal), None
     if samples < longest:
         stable = growth * longest * train.sample_time <= UNSTABLE
-        kept = stable and _on_whole(model, train, scale, first, mapping, ranges)
+        begun = np.searchsorted(coarse.segments[:, 0], train.segments[:, 0])
+        starts = _starts(model, first.theta, train, mapping), first.X0[begun]
+        kept = stable and _on_whole(model, train, scale, first.theta, starts, ranges)
         if kept:
             fits = kept, fit_starts(model, train, scale, theta, _starts(model, theta, train, mapping), ranges, 12)
         else:
@@ -306,16 +325,20 @@ def prepare(plant: Plant, train: Dataset, test: Dataset, input_units, output_uni
         warnings.warn("the nominal simulation could not be fitted", stacklevel=2)
     problem = Problem(plant, model.settings, train, test, coarse, sigma, floor, structure, ranges, nominal, null,
                       null_coarse, nominal_test, null_test, notes, whole)
-    return steadied(problem) if samples >= longest and plant.rhs is not None else problem
+    if plant.rhs is None:
+        return problem
+    problem = problem.kept()
+    return steadied(problem) if samples >= longest else problem
 
 
-def _on_whole(model, train, scale, first: Fit, mapping, ranges) -> Fit | None:
-    """The null on whole recordings, from its fit on segments; None where that loses an output.
+def _on_whole(model, train, scale, theta, starts, ranges) -> Fit | None:
+    """The null on whole recordings, from its fit on segments and the better of several start states; None where that
+    loses an output.
 
     Every start state that a segment brings can absorb part of what is to be explained, so recordings are judged
     whole unless the refitted simulation cannot be kept on them: an error above LOST of an output's spread.
     """
-    fit = fit_model(model, train, scale, first.theta, _starts(model, first.theta, train, mapping), ranges, 12, 1e-3)
+    fit = min((fit_model(model, train, scale, theta, X0, ranges, 12, 1e-3) for X0 in starts), key=lambda f: f.cost)
     error = np.sqrt(np.mean(fit.residual(train) ** 2, axis=0))
     return fit if np.all(error < LOST * scale) else None
 
@@ -368,8 +391,9 @@ def _state_cloud(plant, rough, train):
     return states
 
 
-def _null(model, train, scale, nominal, ranges, time_scale):
-    """Short segments first, so that a wrong frequency does not strand the fit, then the whole recordings."""
+def _null(model, train, scale, nominal, ranges, time_scale, start=None):
+    """Short segments first, so that a wrong frequency does not strand the fit, then the whole recordings; and from
+    `start` where it is given."""
     best = fit_model(model, train, scale, nominal.theta, nominal.X0, ranges, 25)
     whole = int(np.median(np.diff(train.segments[:, :2])))
     short = int(max(40, 6 * time_scale / train.sample_time))
@@ -380,6 +404,9 @@ def _null(model, train, scale, nominal, ranges, time_scale):
             starts[~np.isfinite(starts[:, i]) | (np.abs(starts[:, i]) > 1e6), i] = 0.0
         pre = fit_model(model, cut, scale, nominal.theta, starts, ranges, 15)
         other = fit_model(model, train, scale, pre.theta, nominal.X0, ranges, 25)
-        if other.cost < best.cost:
-            best = other
+        best = min(best, other, key=lambda f: f.cost)
+    if start is not None:
+        there = fit_starts(model, train, scale, start, nominal.X0, ranges, 12)
+        other = fit_model(model, train, scale, start, there.X0, ranges, 25)
+        best = min(best, other, key=lambda f: f.cost)
     return best

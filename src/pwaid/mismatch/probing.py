@@ -287,6 +287,33 @@ def _collocated(gain, speeds, forces) -> dict[int, int]:
     return found
 
 
+def _driven(plant, kinds, points, gain) -> np.ndarray:
+    """Whether each input works on each speed's own coordinate (nx, nu): 1 yes, -1 no, 0 where that does not show.
+
+    With coupled inertias an input accelerates several speeds. The joint it works on is the one whose own damping
+    accelerates them all in the same proportion, at every position; at rest nothing else depends on a speed.
+    """
+    speeds = [i for i, kind in enumerate(kinds) if kind == "velocity"]
+    found = np.zeros(gain.shape, dtype=int)
+    if len(speeds) < 2:
+        return found
+    still = [(x.copy(), np.zeros_like(u)) for x, u in points]
+    for x, _ in still:
+        x[speeds] = 0.0
+    base = np.array([plant.derivative(x, u)[speeds] for x, u in still])
+    damping = np.array([[plant.derivative(x + np.eye(len(x))[i] * 1e-6, u)[speeds] for x, u in still]
+                        for i in speeds]) - base
+    for j in range(gain.shape[1]):
+        push = np.array([plant.derivative(x, u + np.eye(len(u))[j] * 1e-6)[speeds] for x, u in still]) - base
+        if np.sum(np.max(np.abs(push), axis=0) > 1e-9 * np.max(np.abs(push))) < 2:
+            continue  # it accelerates one speed only
+        for i, own in zip(speeds, damping, strict=True):
+            size = np.linalg.norm(own, axis=1) * np.linalg.norm(push, axis=1)
+            if np.all(size > 0):
+                found[i, j] = 1 if np.all(np.abs(np.sum(own * push, axis=1)) > (1 - 1e-5) * size) else -1
+    return found
+
+
 def _force_entries(plant, kinds, points, low, high, rms_u, input_units, units):
     entry, scale, funits, iunits, mobility = {}, {}, {}, {}, {}
     p = plant.vector()
@@ -308,16 +335,17 @@ def _force_entries(plant, kinds, points, low, high, rms_u, input_units, units):
             columns.append((plant.derivative(x, u + d) - plant.derivative(x, u)) / d[j])
         columns = np.array(columns)
         gain[:, j] = np.mean(columns, axis=0)
-        affine[:, j] = np.all(np.isclose(columns, gain[:, j], rtol=0.6, atol=1e-12), axis=0)
+        affine[:, j] = np.all(columns > 1e-12, axis=0) | np.all(columns < -1e-12, axis=0)
     pairs = _collocated(gain, [i for i, kind in enumerate(kinds) if kind == "velocity"],
                         [j for j in range(nu) if unit_kind(input_units[j]) in ("force", "torque")])
+    driven = _driven(plant, kinds, points, gain)
     for i, kind in enumerate(kinds):
         if kind != "velocity":
             continue
         inertia = [k for k, h in halves.items()
                    if np.any(base[:, i]) and np.allclose(2 * h[:, i], base[:, i], rtol=1e-9, atol=1e-14)]
         forces = [j for j in range(nu) if unit_kind(input_units[j]) in ("force", "torque") and gain[i, j] != 0
-                  and affine[i, j]]
+                  and affine[i, j] and driven[i, j] >= 0] or [j for j in range(nu) if driven[i, j] > 0 and affine[i, j]]
         angular = any(KNOWN[s] == "angle" for s in units[i])
         funits[i] = {"N": 1, "m": 1} if angular else {"N": 1}
         iunits[i] = {"kg": 1, "m": 2} if angular else {"kg": 1}
@@ -327,7 +355,7 @@ def _force_entries(plant, kinds, points, low, high, rms_u, input_units, units):
             mobility[i] = 1.0 / p[inertia[0]]
         elif forces:
             j = pairs.get(i, max(forces, key=lambda j: abs(gain[i, j])))
-            entry[i] = (0, j, -1)
+            entry[i] = (0 if gain[i, j] > 0 else 2, j, -1)
             funits[i] = parse_unit(input_units[j])
             mobility[i] = abs(gain[i, j])
         else:

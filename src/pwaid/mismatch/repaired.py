@@ -196,7 +196,7 @@ def _dry(laws, parameters) -> str:
             continue
         ii = law.located.place.ii
         inertia = parameters[ii[3]] if ii[1] == 1 and ii[3] >= 0 else None
-        kind = "input" if ii[1] == 0 else "rate"
+        kind = ("input", "rate", "against input")[ii[1]]
         push = f"({kind!r}, {ii[2]}, {inertia!r})"
         rows.append(f"        ({law.name}_level, {law.name.upper()}, {ii[4]}, {push}),\n")
     return "".join(rows)

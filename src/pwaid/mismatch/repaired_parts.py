@@ -74,9 +74,9 @@ FRICTION = '''
         """What a unit of force adds to the derivatives."""
         kind, index, inertia = acts_on
         column = np.zeros(state.size)
-        if kind == "input":
+        if kind != "rate":
             more = inputs.copy()
-            more[index] += 1.0
+            more[index] += 1.0 if kind == "input" else -1.0
             column[:«NX»] = nominal(t, state, more, params) - nominal(t, state, inputs, params)
         else:
             column[index] = 1.0 if inertia is None else 1.0 / params[inertia]

@@ -31,7 +31,7 @@ def follows(problem, fit: Fit, data: Dataset) -> bool:
 def _off(Y, data: Dataset, beside) -> bool:
     """Whether two simulations, or one and the recordings, differ by much of an output's spread in some segment."""
     return any(np.any(np.std((Y - beside)[a:b], axis=0) > LOST * np.std(data.Y[c:d], axis=0))
-               for a, b, c, d in data.segments)
+               for a, b, c, d in data.segments[:, :4])
 
 
 def _parts(fit: Fit, data: Dataset, ranges) -> bool:

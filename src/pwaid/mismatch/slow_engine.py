@@ -98,9 +98,9 @@ class _Columns:
     def mobility(self, t, X, U, ii):
         """Acceleration per unit force at the place ii describes, (M, nt)."""
         found = np.zeros_like(X)
-        if ii[1] == 0:
+        if ii[1] != 1:
             push = U.copy()
-            push[:, ii[2]] += 1.0
+            push[:, ii[2]] += 1.0 if ii[1] == 0 else -1.0
             x = X[:, :self.nx]
             found[:, :self.nx] = (self.plant.derivatives(t, x, push, self.P) - self.plant.derivatives(t, x, U, self.P))
         else:
@@ -180,6 +180,7 @@ def simulate_columns(model, variants, segments, U, Ts: float, limit: float):
     X = np.zeros((len(variants), len(U), model.nx + model.extra))
     Y = np.zeros((len(variants), len(U), len(plant.output_names)))
     which, rows = np.repeat(np.arange(len(variants)), G), np.tile(segments, (len(variants), 1))
+    ran = rows[:, 4] if rows.shape[1] > 4 else np.zeros(len(rows), dtype=np.int64)
     state = np.vstack([v.start for v in variants])
     P = np.repeat([v.p for v in variants], G, axis=0)
     Q = np.repeat(np.stack([v.Q for v in variants], axis=1), G, axis=1)
@@ -195,7 +196,7 @@ def simulate_columns(model, variants, segments, U, Ts: float, limit: float):
                 continue
             columns = _Columns(model, P[live], np.ascontiguousarray(Q[:, live]))
             x, seg, d = state[live], rows[live], delay[live]
-            t, u = (seg[:, 0] + j - seg[:, 2]) * Ts, np.empty((len(live), U.shape[1]))
+            t, u = (seg[:, 0] + j - seg[:, 2] + ran[live]) * Ts, np.empty((len(live), U.shape[1]))
             at = which[live], seg[:, 0] + j
             X[at] = x
             _inputs(U, seg, j, 0, S, d, Ts, 0.0, u)

@@ -131,7 +131,7 @@ class Structure:
 
     def _main_input(self, v: int) -> int:
         mode, target, _ = self.entry[v]
-        return target if mode == 0 else 0
+        return target if mode != 1 else 0
 
     def positions(self, sides: bool = False) -> list[Place]:
         """Every position with a speed that a force can act on; one per side for stops."""
@@ -172,15 +172,14 @@ class Structure:
     def shafts(self) -> list[Place]:
         """Pairs of positions joined by a stiff spring: one depends on the other's difference only."""
         places = []
-        n = len(self.kinds)
         vs = [v for v in self.velocities() if self.position_of(v) >= 0]
         for a in vs:
             for b in vs:
                 if a == b:
                     continue
                 xa, xb = self.position_of(a), self.position_of(b)
-                gear = self._shaft_ratio(a, b, xa, xb, n)
-                if gear is None or (a > b and self._shaft_ratio(b, a, xb, xa, n) is not None):
+                gear = self._shaft_ratio(a, b, xa, xb)
+                if gear is None or (a > b and self._shaft_ratio(b, a, xb, xa) is not None):
                     continue
                 ii = self._force_ii(a)
                 ii[5], ii[9], ii[6] = xa, xb, b
@@ -189,18 +188,61 @@ class Structure:
                                           [self.plant.state_names[xa], self.plant.state_names[xb]], ii, v=a,
                                           x=xa,
                                           scales={"position": twist},
-                                          constants=(gear, float(self.ratio[xb]))))
+                                          constants=(gear, float(self.ratio[xb]), float(self.ratio[xa]),
+                                                     *self._damped(a, b, self.ratio[xa] / gear, -self.ratio[xb]))))
         return places
+
+    def _damped(self, a: int, b: int, weight_a: float, weight_b: float) -> tuple[float, float]:
+        """Accelerations of two speeds per twist speed, weight_a * v_a + weight_b * v_b, by damping in their shaft."""
+        point = self._points(1)[0]
+        return self._slope(a, b, *point) / weight_b, self._slope(b, a, *point) / weight_a
+
+    def twists(self) -> list[Place]:
+        """States that are the twist of a shaft between two speeds, and drive one of them."""
+        places = []
+        for z in range(len(self.kinds)):
+            pair = self._twisted_by(z)
+            if pair is None or not any(abs(self._slope(v, z, *self._points(1)[0])) > 0 for v in pair[0]):
+                continue
+            (a, b), weights = pair
+            ii = self._force_ii(a)
+            ii[4], ii[5], ii[6] = a, z, b
+            unit = {**self.state_units[a], "s": self.state_units[a].get("s", 0) + 1}
+            places.append(self._place("state", self.plant.state_names[z], [self.plant.state_names[z]], ii, v=a,
+                                      scales={"position": self.reach(z)},
+                                      constants=(*weights, *self._damped(a, b, *weights)),
+                                      units={"position": {s: n for s, n in unit.items() if n}}))
+        return places
+
+    def _twisted_by(self, z: int) -> tuple[tuple[int, int], tuple[float, float]] | None:
+        """The two speeds, and their weights, of which the rate of this state is the difference; None if it is none."""
+        vs = self.velocities()
+        if self.plant.dt or self.kinds[z] in ("velocity", "position") or len(vs) < 2:
+            return None
+        points = self._points(4 + len(vs))
+        rates = np.array([self.plant.derivative(x, u)[z] for x, u in points])
+        speeds = np.array([x[vs] for x, _ in points])
+        weights = np.linalg.lstsq(speeds, rates, rcond=None)[0]
+        size = np.max(np.abs(weights * speeds), axis=0)
+        if not np.allclose(speeds @ weights, rates, rtol=1e-8, atol=1e-12 * np.max(np.abs(rates))):
+            return None
+        pair = np.flatnonzero(size > 1e-9 * np.max(size))
+        if len(pair) != 2 or weights[pair[0]] * weights[pair[1]] >= 0:
+            return None
+        return (vs[pair[0]], vs[pair[1]]), (float(weights[pair[0]]), float(weights[pair[1]]))
+
+    def _points(self, count: int) -> list[tuple[np.ndarray, np.ndarray]]:
+        """States and inputs within the ranges met."""
+        rng = np.random.default_rng(1)
+        return [(self.low + (self.high - self.low) * rng.uniform(size=len(self.kinds)),
+                 self.input_rms * rng.normal(size=len(self.input_rms))) for _ in range(count)]
 
     def twist(self, xa: int, xb: int, gear: float) -> float:
         return min(self.reach(xa) / abs(gear), self.reach(xb))
 
-    def _shaft_ratio(self, a, b, xa, xb, n):
-        rng = np.random.default_rng(1)
+    def _shaft_ratio(self, a, b, xa, xb):
         ratios = []
-        for _ in range(6):
-            x = self.low + (self.high - self.low) * rng.uniform(size=n)
-            u = self.input_rms * rng.normal(size=len(self.input_rms))
+        for x, u in self._points(6):
             ja = self._slope(a, xa, x, u), self._slope(a, xb, x, u)
             jb = self._slope(b, xa, x, u), self._slope(b, xb, x, u)
             if not (abs(ja[1]) > 0 and abs(jb[0]) > 0 and abs(jb[1]) > 0):
@@ -251,14 +293,18 @@ class Structure:
                                       v=v, constants=(self.mobility.get(v, 1.0),)))
         return places
 
-    def velocity_products(self) -> list[Place]:
-        """Products of speeds, times 1, sin or cos of an angle: only with a second axis."""
+    def velocity_products(self, stretching: bool = False) -> list[Place]:
+        """Products of two speeds, times 1, sin or cos of an angle; stretching: times a length. Only with a second
+        axis."""
         places = []
         vs = self.velocities()
         if len(vs) < 2 or "position" not in self.kinds:  # no position, no inertia that varies with one
             return places
         angular = {place.ii[5]: place.constants[0] for place in self.angles()}
-        trigs = [(0, -1, 1.0)] + [(k, x, factor) for x, factor in angular.items() for k in (1, 2)]
+        lengths = [p.ii[5] for p in self.positions() if any(KNOWN[s] == "length" for s in self.state_units[p.ii[5]])]
+        trigs = [(3, x, 1.0) for x in lengths] if stretching else [
+            (0, -1, 1.0), *((k, x, factor) for x, factor in angular.items() for k in (1, 2))]
+        names = self.plant.state_names
         for v in vs:
             for a, b in itertools.combinations_with_replacement(vs, 2):
                 if a == v and b == v:
@@ -266,12 +312,12 @@ class Structure:
                 for variant, x, factor in trigs:
                     ii = self._force_ii(v)
                     ii[4], ii[6], ii[9], ii[10] = a, b, x, variant
-                    names = [self.plant.state_names[a], self.plant.state_names[b]]
-                    if x >= 0:
-                        names.append(f"{('', 'sin', 'cos')[variant]}({self.plant.state_names[x]})")
-                    speed = float(np.sqrt(self.reach(a) * self.reach(b)))
-                    places.append(self._place("state", self.plant.state_names[v], names, ii, v=v,
-                                              scales={"speed": speed}, constants=(factor,)))
+                    times = [("", "sin({})", "cos({})", "{}")[variant].format(names[x])] if x >= 0 else []
+                    both = {s: self.state_units[a].get(s, 0) + self.state_units[b].get(s, 0)
+                            for s in {*self.state_units[a], *self.state_units[b]}}
+                    places.append(self._place("state", names[v], [names[a], names[b], *times], ii, v=v, x=x,
+                                              scales={"speeds": self.reach(a) * self.reach(b)},
+                                              units={"speeds": both}, constants=(factor,)))
         return places
 
     def varying_inertias(self) -> list[Place]:
@@ -289,16 +335,17 @@ class Structure:
                                       constants=tuple(float(c) for c in constants)))
         return places
 
-    def inputs(self, delays: bool = False) -> list[Place]:
-        """Every command channel."""
-        return [self._place("input", name, [name], [0, 0, j, -1, -1, -1, -1, -1, j, -1, 0, 0], j=j)
-                for j, name in enumerate(self.plant.input_names)]
+    def inputs(self, delays: bool = False, signs: bool = False) -> list[Place]:
+        """Every command channel; signs: once for its positive and once for its negative values."""
+        return [self._place("input", name, [name], [0, 0, j, -1, -1, -1, -1, -1, j, -1, sign, 0], j=j,
+                            note={1: "positive", -1: "negative"}.get(sign, ""))
+                for j, name in enumerate(self.plant.input_names) for sign in ((1, -1) if signs else (0,))]
 
     def loads(self) -> list[Place]:
         """Constant forces: at every speed, at inputs that drive no speed, and at a black box's force hook."""
         places = [self._place("state", self.plant.state_names[v], [], self._force_ii(v), v=v)
                   for v in self.velocities()]
-        taken = {self.entry[v][1] for v in self.velocities() if self.entry[v][0] == 0}
+        taken = {self.entry[v][1] for v in self.velocities() if self.entry[v][0] != 1}
         driven = len(self.velocities()) and all(self.kinds[i] in ("velocity", "position")
                                                 for i in range(len(self.kinds)))
         for j, name in enumerate(self.plant.input_names):

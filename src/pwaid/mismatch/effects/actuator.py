@@ -52,6 +52,14 @@ def gain_asymmetry(phase, t, h, x, xs, u, p, dx, ii, q):
         u[j] *= 1.0 + q[0] if u[j] > 0.0 else 1.0 - q[0]
 
 
+def one_sided_gain(phase, t, h, x, xs, u, p, dx, ii, q):
+    """u_applied = u*(1 + change) where u has the sign of ii[10], the command elsewhere."""
+    if phase == 1:
+        j = ii[8]
+        if u[j] * ii[10] > 0.0:
+            u[j] *= 1.0 + q[0]
+
+
 def load(phase, t, h, x, xs, u, p, dx, ii, q):
     """F = level, constant."""
     push(phase, q[0], ii, u, p, dx)
@@ -96,6 +104,10 @@ EFFECTS = (
     Effect("actuator_gain_asymmetry", "actuator", "u_applied = u*(1 + asymmetry*sign(u))",
            (Quantity("asymmetry", "1", -0.9, 0.9, (0.05, 0.2), log=False),), gain_asymmetry,
            lambda s: s.inputs(),
+           ("constant_load", "quadratic_stiffness"), "both signs of the command, two amplitudes"),
+    Effect("actuator_gain_asymmetry", "actuator", "u_applied = u*(1 + change) for one sign of u, u for the other",
+           (Quantity("change", "1", -0.95, 3.0, (0.1, 0.4), log=False),), one_sided_gain,
+           lambda s: s.inputs(signs=True),
            ("constant_load", "quadratic_stiffness"), "both signs of the command, two amplitudes"),
     Effect("constant_load", "actuator", "F = level",
            (Quantity("level", "force", -5.0, 5.0, (0.05, 0.2), log=False),), load, lambda s: s.loads(),

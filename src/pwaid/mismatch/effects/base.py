@@ -11,7 +11,8 @@ An effect's kernel is one function called by the engine (see `pwaid.mismatch.eng
 ii meaning
 == ==================================================================================
 0  index of its first extra state
-1  how a force enters: 0 through input ii[2], 1 on derivative ii[2] divided by p[ii[3]]
+1  how a force enters: 0 through input ii[2], 2 against it, where that input counts the
+   other way, 1 on derivative ii[2] divided by p[ii[3]]
 2  the input or the state equation the force enters
 3  position of the inertia in p, or -1 (then the force is per unit inertia)
 4  state index of the velocity (or of the stored quantity: level, temperature, ...)
@@ -43,9 +44,9 @@ __all__ = ["Effect", "Place", "Quantity", "push", "scale_of", "slide", "unit_of"
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def push(phase, force, ii, u, p, dx):
     """Add a force at the place ii describes, in phases 1 (through an input) and 2 (on a derivative)."""
-    if ii[1] == 0:
+    if ii[1] != 1:
         if phase == 1:
-            u[ii[2]] += force
+            u[ii[2]] += force if ii[1] == 0 else -force
     elif phase == 2:
         if ii[3] >= 0:
             dx[ii[2]] += force / p[ii[3]]

@@ -59,12 +59,15 @@ def of_shown_inertia(phase, t, h, x, xs, u, p, dx, ii, q):
 
 
 def product_of_speeds(phase, t, h, x, xs, u, p, dx, ii, q):
-    """F = coefficient * v_a * v_b * (1, sin or cos of a position); q[1] turns the position into radians."""
+    """F = coefficient * v_a * v_b * (1, sin or cos of a position, or the position, as ii[10] says); q[1] turns an angle
+    into radians."""
     f = q[0] * x[ii[4]] * x[ii[6]]
     if ii[10] == 1:
         f *= sin(q[1] * x[ii[9]])
     elif ii[10] == 2:
         f *= cos(q[1] * x[ii[9]])
+    elif ii[10] == 3:
+        f *= x[ii[9]]
     push(phase, -f, ii, u, p, dx)
 
 
@@ -73,6 +76,9 @@ EFFECTS = (
            (Quantity("coefficient", "1", -5.0, 5.0, (0.3, 1.0), log=False),), of_shown_inertia,
            lambda s: s.varying_inertias(), ("quadratic_drag",), "sweep the same path slowly and fast"),
     Effect("coriolis_torque", "inertial", "F = coefficient * v_a * v_b * trig(position)",
-           (Quantity("coefficient", "force/speed^2", -20.0, 20.0, (0.1, 0.5), log=False),), product_of_speeds,
+           (Quantity("coefficient", "force/speeds", -20.0, 20.0, (0.1, 0.5), log=False),), product_of_speeds,
            lambda s: s.velocity_products(), ("quadratic_drag",), "move one axis at a time, then both"),
+    Effect("coriolis_torque", "inertial", "F = coefficient * v_a * v_b * position",
+           (Quantity("coefficient", "force/speeds*position", -20.0, 20.0, (0.1, 0.5), log=False),), product_of_speeds,
+           lambda s: s.velocity_products(stretching=True), ("quadratic_drag",), "move one axis at a time, then both"),
 )

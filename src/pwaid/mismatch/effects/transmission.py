@@ -10,21 +10,43 @@ __all__ = ["EFFECTS"]
 def gap_in_shaft(phase, t, h, x, xs, u, p, dx, ii, q):
     """The shaft between positions ii[5] and ii[9] carries nothing while their difference is inside the gap.
 
-    The plant sees the second position moved so that the twist is what lies beyond the gap; the twist
-    speed is zero inside it. q[1] is the ratio of the first position to the second.
+    The plant sees the second position moved so that the twist is what lies beyond the gap. q: half gap, ratio of the
+    first position to the second, rate of the second per its speed ii[6], rate of the first per its speed ii[4]; then
+    the accelerations of the first and of the second speed per twist speed, which damping in the shaft gives them.
     """
+    twist = x[ii[5]] / q[1] - x[ii[9]]
     if phase == 1:
-        twist = x[ii[5]] / q[1] - x[ii[9]]
         if abs(twist) <= q[0]:
             xs[ii[9]] = x[ii[5]] / q[1]
-            xs[ii[6]] = x[ii[4]] / q[1]
         elif twist > 0:
             xs[ii[9]] = x[ii[9]] + q[0]
         else:
             xs[ii[9]] = x[ii[9]] - q[0]
-    elif phase == 2:
-        # kinematic rows keep the true speeds
-        dx[ii[9]] = x[ii[6]] * q[2]
+    elif phase == 2 and abs(twist) <= q[0]:
+        rate = q[3] * x[ii[4]] / q[1] - q[2] * x[ii[6]]
+        dx[ii[4]] -= q[4] * rate
+        dx[ii[6]] -= q[5] * rate
+
+
+def gap_in_twist(phase, t, h, x, xs, u, p, dx, ii, q):
+    """A shaft whose twist is a state, ii[5], carries nothing while that is inside the gap.
+
+    The plant sees the twist beyond the gap. q: half gap, weights of the speeds ii[4] and ii[6] in the rate of the
+    twist; then the accelerations of the two speeds per twist speed, which damping in the shaft gives them.
+    """
+    z = ii[5]
+    if phase == 1:
+        twist = x[z]
+        if abs(twist) <= q[0]:
+            xs[z] = 0.0
+        elif twist > 0:
+            xs[z] = twist - q[0]
+        else:
+            xs[z] = twist + q[0]
+    elif phase == 2 and abs(x[z]) <= q[0]:
+        rate = q[1] * x[ii[4]] + q[2] * x[ii[6]]
+        dx[ii[4]] -= q[3] * rate
+        dx[ii[6]] -= q[4] * rate
 
 
 def gap_to_hidden_load(phase, t, h, x, xs, u, p, dx, ii, q):
@@ -84,6 +106,10 @@ EFFECTS = (
     Effect("backlash", "transmission", "shaft torque = k * (twist beyond +-half_gap)",
            (Quantity("half_gap", "position", 1e-4, 0.9, (0.01, 0.05, 0.2)),), gap_in_shaft,
            lambda s: s.shafts(), ("actuator_deadzone", "input_play", "coulomb_friction"),
+           "reverse the load at rest with both encoders; a constant preload makes it vanish", memory=True),
+    Effect("backlash", "transmission", "shaft torque = k * (twist, a state, beyond +-half_gap)",
+           (Quantity("half_gap", "position", 1e-3, 10.0, (0.05, 0.2, 1.0)),), gap_in_twist,
+           lambda s: s.twists(), ("actuator_deadzone", "input_play", "coulomb_friction"),
            "reverse the load at rest with both encoders; a constant preload makes it vanish", memory=True),
     Effect("backlash", "transmission", "the load hangs on the motor through a gap of +-half_gap",
            (Quantity("half_gap", "position", 1e-4, 3.0, (0.02, 0.1)),
