@@ -1,6 +1,6 @@
 """Which seeds a set of cases has: calibration sets thresholds, each score is read once and then used up."""
 
 SEEDS = {"calibration": 0, "score": 10000, "score2": 20000, "score3": 30000, "score4": 40000,
-         "score5": 50000, "score6": 60000, "score7": 70000, "score8": 80000, "calibration2": 90000, "calibration4": 120000,
-         "calibration5": 130000}
+         "score5": 50000, "score6": 60000, "score7": 70000, "score8": 80000, "calibration2": 90000,
+         "calibration4": 120000, "calibration5": 130000}
 SLOT = 380  # seeds per class and cell; 26 slots stay below the ten thousand of a set
