@@ -254,3 +254,24 @@ def test_a_function_that_calls_itself_is_left_alone():
 
     with pytest.raises(CompileFailure, match="calls itself"):
         compiled_pair(recursive, None, (1, 1, 1), {"a": 1.0})
+
+
+def test_polynomials_of_a_transfer_function_come_through():
+    """A right-hand side may make its matrices of control.tf, and keep them by the parameters they were made of."""
+    kept = {}
+
+    def update(t, x, u, params):
+        key = params["zeta"], params["k"]
+        if key not in kept:
+            roll = control.tf([key[1]], [1.0, 2.0 * key[0] * 0.6, 0.36])
+            num, den = (np.ravel(c[0][0]) for c in (roll.num, roll.den))
+            kept[key] = np.array([[0.0, 1.0], [-den[2], -den[1]]]), np.array([0.0, num[-1]])
+        A, b = kept[key]
+        return A @ x + b * u[0]
+
+    plant = as_plant(control.nlsys(update, None, inputs=["u"], outputs=["phi", "rate"], states=["phi", "rate"],
+                                   params={"zeta": 0.05, "k": 0.06}))
+    assert plant.rhs is not None
+    x, u = np.array([0.2, -0.1]), np.array([0.5])
+    expected = [-0.1, 0.08 * 0.5 + 0.12 * 0.1 - 0.36 * 0.2]
+    np.testing.assert_allclose(plant.derivative(x, u, np.array([0.1, 0.08])), expected, rtol=1e-12)

@@ -119,7 +119,7 @@ def _search(problem: Problem, catalogue: Sequence[Effect], jobs: int, say: Calla
     if singles and _errs(problem, null):
         singles = fit_lookalikes(problem, singles, located, jobs)
         if problem.plant.rhs is not None and _short_of_floor(problem, null, singles):
-            singles = fit_by_segments(problem, singles, screened, jobs)
+            singles = fit_by_segments(problem, singles, located, jobs)
     if problem.whole is not None and singles and _keeps_whole(problem, singles[0]):
         problem = problem.uncut()
         null, singles = null_hypothesis(problem), _judged(problem, singles, jobs)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -264,25 +264,32 @@ def fit_lookalikes(problem: Problem, singles: Sequence[Hypothesis], located: Seq
     return _best_of_each([*singles, *fit_shortlist(problem, places, jobs, base=base)])
 
 
-def fit_by_segments(problem: Problem, singles: Sequence[Hypothesis], screened: Sequence[Screened], jobs: int = 1,
-                    count: int = 4) -> list[Hypothesis]:
-    """The singles, with the best ones that hold impacts or dry friction fitted again from short segments that grow.
+def fit_by_segments(problem: Problem, singles: Sequence[Hypothesis], located: Sequence[Located], jobs: int = 1,
+                    count: int = 3) -> list[Hypothesis]:
+    """The singles, with laws that short segments show, and the best ones that hold impacts or dry friction, fitted
+    again from short segments that grow.
 
-    A stop, a gap or a stick parts motions that start side by side, so over a whole recording the error is rugged; over
-    a few samples it is not, and every start of the screen is tried there.
+    A stop, a gap, a stick or a fine ripple parts motions that start side by side, so over a whole recording the error
+    is rugged and signatures are those of another motion; over a few samples they are not.
     """
-    seen = {s.located.key: s for s in screened}
-    asked = [seen[h.located[0].key] for h in singles if rough(h.fit.model) and h.located[0].key in seen][:count]
-    return _best_of_each([*singles, *run_jobs(lambda s: _grown(problem, s), asked, jobs)])
-
-
-def _grown(problem: Problem, candidate: Screened) -> Hypothesis:
-    """The hypothesis that a fit on short segments, from the best of the screen's starts, grows into."""
-    null, model = problem.null_coarse, Model(problem.settings, (candidate.located,))
+    null = problem.null_coarse
     length = max(SHORTEST, int(BRIEF * problem.structure.time_scale / problem.train.sample_time))
     data = problem.coarse.cut(length)
-    X0, trials = problem.measured(data), []
-    for z, nominal in itertools.product(candidate.starts, (null.theta, 0 * null.theta)):
+    near = fit_starts(null.model, data, problem.sigma, null.theta, problem.measured(data), problem.ranges)
+    near = fit_model(null.model, data, problem.sigma, null.theta, near.X0, problem.ranges, 10)
+    brief = replace(problem, coarse=data, null_coarse=near, brief=True)
+    ranked = screen(brief, near, located, jobs)
+    parted = [h.located[0].key for h in singles if rough(h.fit.model)][:count]
+    asked = overlooked(ranked, ())[:count]
+    asked += [s for s in ranked if s.located.key in parted and s not in asked and s.starts]
+    return _best_of_each([*singles, *run_jobs(lambda s: _grown(problem, brief, s), asked, jobs)])
+
+
+def _grown(problem: Problem, brief: Problem, candidate: Screened) -> Hypothesis:
+    """The hypothesis that a fit on short segments, from the best of the screen's starts, grows into."""
+    model, data, trials = Model(problem.settings, (candidate.located,)), brief.coarse, []
+    X0 = problem.measured(data)
+    for z, nominal in itertools.product(candidate.starts, (problem.null_coarse.theta, 0 * problem.null_coarse.theta)):
         theta = np.concatenate([nominal, z])
         near = fit_starts(model, data, problem.sigma, theta, X0, problem.ranges)
         trials.append(fit_model(model, data, problem.sigma, theta, near.X0, problem.ranges, 8, 1e-3))

@@ -32,7 +32,8 @@ class Problem:
     """Everything the hypotheses share: data, weights, floor, structure, and the nominal and null fits.
 
     `coarse` is `train` cut into segments that any start of the parameters can follow; candidates are screened and
-    first fitted there, then on `train`. `whole` holds the recordings uncut where only the null loses them.
+    first fitted there, then on `train`. `whole` holds the recordings uncut where only the null loses them. `brief` says
+    that `coarse` holds segments so short that every motion is kept.
     """
 
     plant: Plant
@@ -51,6 +52,7 @@ class Problem:
     null_test: Fit
     notes: tuple[str, ...] = ()
     whole: tuple[Dataset, Dataset] | None = None
+    brief: bool = False
 
     def measured(self, data: Dataset) -> np.ndarray:
         """Start states as the first samples show them, (segments, nx)."""

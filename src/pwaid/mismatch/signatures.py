@@ -157,7 +157,7 @@ def _probe_grid(located: Located, problem: Problem, residual) -> list[np.ndarray
     for q in effect.quantities:
         values = q.probes
         if effect.id == "position_ripple" and q.name == "wavenumber":
-            values = tuple(np.arange(3.0, 50.0, 1.2))
+            values = tuple(np.arange(3.0, _finest(located, problem, residual), 1.2))
         elif effect.id == "periodic_disturbance" and q.name == "angular_frequency":
             values = tuple(w / located.scales[0] for w in _peaks(residual, problem.coarse, located))
         elif effect.id == "sensor_quantization":
@@ -165,10 +165,21 @@ def _probe_grid(located: Located, problem: Problem, residual) -> list[np.ndarray
             values = (step / located.scales[0],) if step else values
         options.append(values)
     grid = [located.internal(m) for m in product(*options)]
-    cap = 120 if effect.id == "position_ripple" else 36
+    cap = len(grid) if effect.id == "position_ripple" else 36
     if len(grid) > cap:
         grid = [grid[i] for i in np.linspace(0, len(grid) - 1, cap).astype(int)]
     return grid
+
+
+def _finest(located: Located, problem: Problem, residual, usual: float = 50.0, most: float = 400.0) -> float:
+    """The largest wavenumber worth a try, in periods over the reach times 2 pi: where short segments keep the position
+    close, ripples are told apart as far as that error lets them."""
+    x, shown = located.place.ii[5], problem.structure.shown
+    k = next((k for k, state in enumerate(shown.state) if state == x), None)
+    if not problem.brief or k is None:
+        return usual
+    error = float(np.sqrt(np.mean(residual[:, k] ** 2))) / abs(shown.gain[k])
+    return float(np.clip(4.0 * located.place.scales["position"] / max(error, 1e-300), usual, most))
 
 
 def lattice(y) -> float:

@@ -194,7 +194,7 @@ class Structure:
 
     def _damped(self, a: int, b: int, weight_a: float, weight_b: float) -> tuple[float, float]:
         """Accelerations of two speeds per twist speed, weight_a * v_a + weight_b * v_b, by damping in their shaft."""
-        point = self._points(1)[0]
+        point = self.points(1)[0]
         return self._slope(a, b, *point) / weight_b, self._slope(b, a, *point) / weight_a
 
     def twists(self) -> list[Place]:
@@ -202,7 +202,7 @@ class Structure:
         places = []
         for z in range(len(self.kinds)):
             pair = self._twisted_by(z)
-            if pair is None or not any(abs(self._slope(v, z, *self._points(1)[0])) > 0 for v in pair[0]):
+            if pair is None or not any(abs(self._slope(v, z, *self.points(1)[0])) > 0 for v in pair[0]):
                 continue
             (a, b), weights = pair
             ii = self._force_ii(a)
@@ -219,7 +219,7 @@ class Structure:
         vs = self.velocities()
         if self.plant.dt or self.kinds[z] in ("velocity", "position") or len(vs) < 2:
             return None
-        points = self._points(4 + len(vs))
+        points = self.points(4 + len(vs))
         rates = np.array([self.plant.derivative(x, u)[z] for x, u in points])
         speeds = np.array([x[vs] for x, _ in points])
         weights = np.linalg.lstsq(speeds, rates, rcond=None)[0]
@@ -231,7 +231,7 @@ class Structure:
             return None
         return (vs[pair[0]], vs[pair[1]]), (float(weights[pair[0]]), float(weights[pair[1]]))
 
-    def _points(self, count: int) -> list[tuple[np.ndarray, np.ndarray]]:
+    def points(self, count: int) -> list[tuple[np.ndarray, np.ndarray]]:
         """States and inputs within the ranges met."""
         rng = np.random.default_rng(1)
         return [(self.low + (self.high - self.low) * rng.uniform(size=len(self.kinds)),
@@ -242,7 +242,7 @@ class Structure:
 
     def _shaft_ratio(self, a, b, xa, xb):
         ratios = []
-        for x, u in self._points(6):
+        for x, u in self.points(6):
             ja = self._slope(a, xa, x, u), self._slope(a, xb, x, u)
             jb = self._slope(b, xa, x, u), self._slope(b, xb, x, u)
             if not (abs(ja[1]) > 0 and abs(jb[0]) > 0 and abs(jb[1]) > 0):

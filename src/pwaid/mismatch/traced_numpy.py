@@ -1,4 +1,4 @@
-"""NumPy, math, control.ss and a few builtins as a function sees them while it is run on symbols.
+"""NumPy, math, control.ss, control.tf and a few builtins as a function sees them while it is run on symbols.
 
 What a user's module, its classes and closures call `np`, `math`, `sin` or `max` is replaced for the time of one run:
 functions of numbers take symbols, and arrays that are made can hold them.
@@ -196,6 +196,19 @@ def _linear(make: Callable) -> Callable:
     return made
 
 
+def _transfer(make: Callable) -> Callable:
+    """A maker of transfer functions that gives symbolic polynomials of one channel as num and den, as control holds
+    them."""
+
+    def made(*polynomials, **options):
+        if len(polynomials) < 2 or not any(is_symbolic(p) for p in polynomials):
+            return make(*polynomials, **options)
+        num, den = ([[np.atleast_1d(np.array(p, dtype=object))]] for p in polynomials[:2])
+        return types.SimpleNamespace(num=num, den=den, num_array=np.array(num), den_array=np.array(den))
+
+    return made
+
+
 def _names(prefix) -> dict[str, Callable]:
     found = {n: _function(n, getattr(prefix, n)) for n in FUNCTIONS if callable(getattr(prefix, n, None))}
     return found | {n: _function(real, getattr(prefix, n)) for n, real in OTHER_NAMES.items()
@@ -221,6 +234,7 @@ def _replacements() -> dict[int, object]:
     for module, mine in ((np, _MINE), (np.linalg, _LINALG), (math, _MATH)):
         found |= {id(getattr(module, n)): f for n, f in mine.items()}
     makers = {name: _linear(getattr(control, name)) for name in ("ss", "StateSpace")}
+    makers |= {name: _transfer(getattr(control, name)) for name in ("tf", "TransferFunction")}
     found |= {id(getattr(control, n)): f for n, f in makers.items()} | {id(control): _Stand(control, makers)}
     return found
 
