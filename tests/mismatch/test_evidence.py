@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import sys
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from tests_support import gathered, pushed, record
@@ -11,6 +14,7 @@ from pwaid.mismatch.decide import decide
 from pwaid.mismatch.hypotheses import floor_square
 from pwaid.mismatch.screen import other_laws, overlooked, shortlist
 
+explaining = sys.modules["pwaid.mismatch.explain"]  # the name of the module is that of its function
 IDS = ("coulomb_friction", "actuator_lag", "sensor_offset", "cubic_stiffness")
 
 
@@ -74,3 +78,20 @@ def test_laws_with_impacts_are_fitted_by_way_of_short_segments():
     assert best.ids == ("end_stop",) and best.train_error < 3 * floor < 0.001 * found.null.train_error
     stiffness, position, _ = best.values()[0]
     assert position == pytest.approx(0.35, rel=0.01) and stiffness == pytest.approx(600.0, rel=0.1)
+
+
+def test_a_null_that_was_stranded_is_known_by_what_a_law_without_size_leads_to():
+    found = gathered([record(s) for s in (1, 2, 3)], "sensor_offset")
+    problem, null = found.problem, found.problem.null_coarse
+    assert module._lower_valley(problem, found.singles) is None
+    stranded = replace(problem, null_coarse=replace(null, cost=10 * null.cost))
+    np.testing.assert_allclose(module._lower_valley(stranded, found.singles), null.theta, atol=0.02)
+
+
+def test_a_stranded_null_is_refitted_once_from_there(monkeypatch):
+    asked, valley = [], np.array([0.05, -0.02, 0.01])
+    prepared = explaining.prepare
+    monkeypatch.setattr(explaining, "prepare", lambda *a: asked.append(a[-1]) or prepared(*a))
+    monkeypatch.setattr(module, "_lower_valley", lambda problem, singles: valley)
+    found = gathered([record(s, level=0.3) for s in (1, 2, 3)], *IDS)
+    assert asked == [None, valley] and found.lower is None and found.singles[0].ids == ("coulomb_friction",)

@@ -11,9 +11,10 @@ from tests_support import TRUE, gathered, oscillator, record
 
 from pwaid.mismatch import Thresholds
 from pwaid.mismatch.adequacy import inadequate, likelihood_gain
-from pwaid.mismatch.decide import _not_outdone, decide
+from pwaid.mismatch.decide import _better_pair, _not_outdone, decide
 from pwaid.mismatch.effects.registry import effect_by_id
 from pwaid.mismatch.explain import collect
+from pwaid.mismatch.hypotheses import floor_square
 from pwaid.mismatch.leftover import leftover
 from pwaid.mismatch.signatures import lattice
 
@@ -114,3 +115,15 @@ def test_the_step_of_a_quantised_signal_is_read_from_its_lattice(step):
     assert lattice(y) == 0.0
     assert lattice(np.zeros(100)) == 0.0
     assert lattice(rng.choice([0.0, 0.1, 0.25, np.pi], 400)) == 0.0
+
+
+def test_a_second_law_must_be_seen_by_likelihoods_too(rubbing):
+    """Numbers of errors alone may fall because a law bends to one slow wave."""
+    evidence = gathered(rubbing, "coulomb_friction", "hysteretic_spring")
+    problem, floor = evidence.problem, floor_square(evidence.problem)
+    weaker = next(h for h in evidence.singles if h.ids == ("hysteretic_spring",))
+    better = next(h for h in evidence.singles if h.ids == ("coulomb_friction",))
+    pair = replace(better, located=(*better.located, *weaker.located))
+    assert _better_pair(problem, weaker, [pair], floor, Thresholds()) is pair
+    unseen = replace(pair, fit=weaker.fit, test=weaker.test)
+    assert _better_pair(problem, weaker, [unseen], floor, Thresholds()) is None

@@ -14,7 +14,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pwaid.mismatch.adequacy import floor_or_trifle, inadequate, over_floor, predicted_rest, still_explained
+from pwaid.mismatch.adequacy import (
+    floor_or_trifle,
+    inadequate,
+    likelihood_gain,
+    over_floor,
+    predicted_rest,
+    still_explained,
+)
 from pwaid.mismatch.hypotheses import Hypothesis, floor_square, mean_square
 from pwaid.mismatch.leftover import leftover
 from pwaid.mismatch.nullfit import Problem
@@ -115,7 +122,7 @@ def decide(problem: Problem, null: Hypothesis, singles: Sequence[Hypothesis], pa
     best = min(passed, key=_score, default=None)
     if best is not None:
         best = _prefer_smaller(problem, best, passed, t)
-        pair = _better_pair(best, passed_pairs, floor, t)
+        pair = _better_pair(problem, best, passed_pairs, floor, t)
         if pair is not None:
             pair = _prefer_smaller(problem, pair, passed_pairs, t)
             return _name(problem, pair, passed_pairs, t, rng, reasons)
@@ -240,11 +247,13 @@ def _gain(problem, single: Hypothesis, pair: Hypothesis) -> float:
     return (single.test_error - pair.test_error) / left if left > 0.05 * floor else 0.0
 
 
-def _better_pair(best, pairs, floor, t):
+def _better_pair(problem, best, pairs, floor, t):
+    """The first pair that leaves much less than the best single law, by a second law that likelihoods see: a slow wave
+    of a disturbance, which any law bends to, counts once."""
     for h in pairs:
         left = best.test_error - floor
         if left > 0.1 * floor and (best.test_error - h.test_error) > t.second_share * left and (
-                h.train_error < best.train_error):
+                h.train_error < best.train_error) and likelihood_gain(problem, h, best) >= t.evidence:
             return h
     return None
 

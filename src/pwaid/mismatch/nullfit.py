@@ -17,7 +17,7 @@ from pwaid.mismatch.model import LIMIT, Model, Settings
 from pwaid.mismatch.plant import Plant
 from pwaid.mismatch.probing import find_structure
 from pwaid.mismatch.sensitive import LOST, SHORTEST, follows, steadied
-from pwaid.mismatch.startscan import best_starts, scans, unseen_directions
+from pwaid.mismatch.startscan import best_starts, scans, unseen_directions, visited
 from pwaid.mismatch.structure import Structure
 
 __all__ = ["Problem", "first_states", "prepare"]
@@ -61,10 +61,14 @@ class Problem:
     def heldout(self, fit: Fit) -> Fit:
         """The fitted model on the held-out recordings, its start states fitted there, segment by segment the best of
         several starts: the null's, which may be bent to absorb the effect; the measured ones; for states that the
-        null does not see, a scan of the range they visit; and what the first seconds alone show."""
+        null does not see, a scan of the range they visit; states visited in training; and what the first seconds alone
+        show."""
         best = fit_starts(fit.model, self.test, self.sigma, fit.theta, self.null_test.X0, self.ranges)
-        options = self.measured(self.test), *scans(self, fit, best.X0, self.test)
-        return self._opened(best_starts(self, fit, best, options, self.test), self.test)
+        options = [self.measured(self.test), *scans(self, fit, best.X0, self.test)]
+        best = best_starts(self, fit, best, options, self.test)
+        if self.plant.rhs is None or follows(self, best, self.test):
+            return best
+        return self._opened(best_starts(self, fit, best, [visited(self, fit, self.test)], self.test), self.test)
 
     def _opened(self, fit: Fit, data: Dataset) -> Fit:
         """The fit with start states that fit the first seconds of a segment, where they lead to less: in a motion that

@@ -12,10 +12,11 @@ from scipy.linalg import qr
 from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.fit import Fit, fit_starts, jacobian
 
-__all__ = ["best_starts", "scans", "unseen_directions"]
+__all__ = ["best_starts", "scans", "unseen_directions", "visited"]
 
 SEEN = 1e-3  # of sigma: what a move by the whole range must change in the null's outputs, on the average
 COUNT, SLOW_COUNT, VALLEYS = 96, 32, 4  # places of a scan, where simulations are slow, and starts taken from it
+VISITED = 32  # states of a fit that are tried where a recording begins
 PROBES = np.array([0.0, 0.19, 0.43, 0.71, 1.0])  # places in the range that show whether a law acts along a direction
 
 
@@ -68,6 +69,17 @@ def scans(problem, fit: Fit, X0, data: Dataset) -> list[np.ndarray]:
         valley = np.where((sums <= padded[:-2]) & (sums <= padded[2:]), sums, np.inf)
         found += [trials[row, np.arange(len(X0))] for row in np.argsort(valley, axis=0)[:VALLEYS]]
     return found
+
+
+def visited(problem, fit: Fit, data: Dataset) -> np.ndarray:
+    """Start states (segments, nx), each the one among states that the fit visits from which a segment errs least."""
+    states = fit.X[np.linspace(0, len(fit.X) - 1, VISITED).astype(int), :fit.model.nx]
+    states = states[np.all(np.isfinite(states), axis=1)]
+    if not len(states):
+        return problem.measured(data)
+    count = len(data.segments)
+    sums = [_by_segment(problem, fit.model.simulate(fit.theta, np.tile(x, (count, 1)), data)[0], data) for x in states]
+    return states[np.argmin(sums, axis=0)]
 
 
 def best_starts(problem, fit: Fit, best: Fit, options, data: Dataset) -> Fit:

@@ -24,7 +24,7 @@ class Thresholds:
     nested_share: float = 0.002  # ... and its share of the null's error
     rival: float = 1.15  # error ratio within which a rival of another law is not excluded
     wins: float = 0.8  # share of block bootstraps the winner must win
-    evidence: float = 50.0  # the held-out log-likelihood, residuals made white, must rise by this much
+    evidence: float = 50.0  # the held-out log-likelihood, residuals white, must rise by this much with every law
     found: float = 0.1  # maps on top of the effect may find this share of the rise that they and it make together;
     found_quiet: float = 0.5  # where noise is small beside what is left (see `quiet`), as much as a single law itself;
     unfound: float = 0.01  # below it they find nothing, and what they seem to remove does not count

@@ -1,0 +1,91 @@
+"""How a force enters: through an input that counts the other way, or through the one that drives its joint."""
+
+from __future__ import annotations
+
+import control
+import numpy as np
+import pytest
+from tests_support import TRUE, pushed
+
+from pwaid.mismatch.effects.registry import effect_by_id
+from pwaid.mismatch.explain import explain
+from pwaid.mismatch.hygiene import _accelerations
+from pwaid.mismatch.plant import as_plant
+from pwaid.mismatch.probing import find_structure
+from pwaid.recording import Recording
+
+
+def _structure(simulator, units_in, units_out):
+    plant = as_plant(simulator)
+    nx, nu, ny = plant.sizes
+    rng = np.random.default_rng(0)
+    states = 0.4 * rng.normal(size=(200, nx))
+    return find_structure(plant, states, rng.normal(size=(200, nu)), rng.normal(size=(200, ny)), units_in, units_out,
+                          0.02, 4.0)
+
+
+def test_an_input_that_counts_the_other_way_turns_no_law_round():
+    """Extension positive, flexion measured: a spring must still pull back."""
+    def update(t, x, u, params):
+        return np.array([x[1], -u[0] - params["b"] * x[1] - params["k"] * x[0]])
+
+    simulator = control.nlsys(update, lambda t, x, u, p: x[:1], inputs=["F"], outputs=["x"], states=["x", "v"],
+                              params={"b": 0.5, "k": 3.2})
+    assert _structure(simulator, ["N"], ["m"]).entry[1] == (2, 0, -1)
+    recordings = [r.replace(inputs=-r.inputs) for r in (pushed(s, lambda x, v: -2.0 * x**3) for s in (1, 2, 3))]
+    report = explain(simulator, recordings[:2], recordings[2:], ["b", "k"], effects=effect_by_id("cubic_stiffness"))
+    (effect,) = report.effects
+    assert report.verdict == "named" and TRUE["m"] == 1.0
+    assert effect["parameters"]["coefficient"]["value"] == pytest.approx(2.0, rel=0.05)
+
+
+def _crane(t, x, u, params):
+    s, c = np.sin(x[2]), np.cos(x[2])
+    mass = np.array([[11.0, 2.4 * c], [c, 0.8]])
+    forces = np.array([params["ku"] * u[0] - params["b"] * x[1] + 2.4 * x[3] ** 2 * s, -9.81 * s - 0.03 * x[3]])
+    a = np.linalg.solve(mass, forces)
+    return np.array([x[1], a[0], x[3], a[1]])
+
+
+def test_a_force_on_a_coupled_body_enters_where_its_drive_does():
+    """The rope pulls back at a trolley that is pushed; a torque at the rope is no push of the trolley."""
+    crane = control.nlsys(_crane, lambda t, x, u, p: x[[0, 2]], inputs=["u"], outputs=["pos", "swing"],
+                          states=["pos_", "vel", "ang", "angvel"], params={"ku": 10.6, "b": 10.0})
+    structure = _structure(crane, ["V"], ["m", "rad"])
+    assert structure.entry[1] == (0, 0, -1) and structure.entry[3][0] == 1
+    assert structure.force_units[1] == {"V": 1}
+
+
+def test_an_output_that_is_an_acceleration_is_said_to_miss_forces():
+    def update(t, x, u, params):
+        return np.array([x[1], (u[0] - params["b"] * x[1]) / params["m"]])
+
+    lift = control.nlsys(update, lambda t, x, u, p: np.array([x[1], update(t, x, u, p)[1]]), inputs=["F"],
+                         outputs=["v", "a"], states=["s", "v"], params={"m": 2.0, "b": 0.3})
+    (note,) = _accelerations(_structure(lift, ["N"], ["m/s", "m/s^2"]))
+    assert note.startswith("a is the acceleration of v")
+    assert _accelerations(_structure(control.nlsys(update, lambda t, x, u, p: x[:1], inputs=["F"], outputs=["s"],
+                                                   states=["s", "v"], params={"m": 2.0, "b": 0.3}), ["N"], ["m"])) == []
+
+
+def test_a_start_state_that_only_the_whole_recording_loses_is_no_missing_physics():
+    """A charge is counted and never read; from an empty cell nothing leads to where it began."""
+    def update(t, x, u, params):
+        return np.array([x[0] - 0.001 * u[0], 0.9 * x[1] + 0.1 * params["R"] * u[0]])
+
+    def output(t, x, u, params):
+        return np.array([np.interp(x[0], [0.0, 0.3, 1.0], [3.0, 3.6, 4.2]) - x[1]])
+
+    rng, recordings = np.random.default_rng(2), []
+    for k, start in enumerate((0.9, 0.55, 0.8)):
+        u, x, y = np.repeat(rng.uniform(-0.5, 1.0, 30), 20), np.array([start, 0.0]), []
+        for value in u:
+            y.append(output(0, x, [value], {})[0])
+            x = update(0, x, [value], {"R": 0.05})
+        y = np.array(y) + 0.002 * rng.normal(size=len(u))
+        recordings.append(Recording(np.arange(len(u)) * 1.0, u[:, None], y[:, None], ("I",), ("U",),
+                                    {"I": "A", "U": "V"}, name=f"r{k}.csv"))
+    cell = control.nlsys(update, output, inputs=["I"], outputs=["U"], states=["soc", "v1"], params={"R": 0.055}, dt=1.0)
+    report = explain(cell, recordings[:2], recordings[2:], ["R"],
+                     effects=[e for i in ("sensor_offset", "constant_load", "sensor_drift") for e in effect_by_id(i)])
+    assert report.verdict == "parameters_only"
