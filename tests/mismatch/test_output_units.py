@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from tests_support import output, update
 
+from pwaid.mismatch.beginnings import first_states
 from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.explain import collect
-from pwaid.mismatch.nullfit import first_states
 from pwaid.mismatch.plant import as_plant
 from pwaid.mismatch.probing import find_structure
 from pwaid.recording import Recording

@@ -16,9 +16,6 @@ from pwaid.mismatch.effects.base import Effect
 from pwaid.mismatch.fit import fit_model
 from pwaid.mismatch.hypotheses import (
     Hypothesis,
-    fit_by_segments,
-    fit_contained,
-    fit_lookalikes,
     fit_shortlist,
     floor_square,
     hypothesis_of,
@@ -29,6 +26,7 @@ from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.pairs import fit_inner, fit_joint, fit_members, fit_pairs, fit_reversed, fit_swaps
 from pwaid.mismatch.scout import scouted
 from pwaid.mismatch.screen import Screened, locate_effects, overlooked, run_jobs, screen, shortlist
+from pwaid.mismatch.secondlooks import fit_by_segments, fit_contained, fit_lookalikes
 from pwaid.mismatch.thresholds import Thresholds
 from pwaid.mismatch.vetoes import veto
 

@@ -10,21 +10,21 @@ from functools import cached_property
 import numpy as np
 
 from pwaid.errors import InputError
+from pwaid.mismatch.beginnings import first_states, usable_starts
 from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.fit import Fit, fit_model, fit_starts
-from pwaid.mismatch.floor import Floor, estimate_floor, white_level
+from pwaid.mismatch.floor import Floor, estimate_floor
 from pwaid.mismatch.model import LIMIT, Model, Settings
+from pwaid.mismatch.pace import UNSTABLE, eigenvalues, segment_length, sliding_substeps, substeps_of
 from pwaid.mismatch.plant import Plant
 from pwaid.mismatch.probing import find_structure
 from pwaid.mismatch.sensitive import LOST, SHORTEST, follows, steadied
 from pwaid.mismatch.startscan import best_starts, scans, unseen_directions, visited
 from pwaid.mismatch.structure import Structure
 
-__all__ = ["Problem", "first_states", "prepare"]
+__all__ = ["Problem", "prepare"]
 
 DEFAULT_TOLERANCE = 0.3
-SLIDING, MOST = 0.5, 16  # of the fastest time constant: a step that dry friction stays stable with; substeps at most
-UNSTABLE = 4.0  # growth over a recording, in time constants, that no start state can follow
 
 
 @dataclass(frozen=True)
@@ -128,7 +128,8 @@ class Problem:
         mapping = s.start_map
 
         def fitted(data, values, fit=fit_starts, **more):
-            return fit(model, data, self.sigma, values, _starts(model, values, data, mapping), self.ranges, 20, **more)
+            X0 = usable_starts(model, values, data, mapping)
+            return fit(model, data, self.sigma, values, X0, self.ranges, 20, **more)
 
         null = fitted(train, theta, fit_model)
         return replace(self, train=train, test=test, whole=None, nominal=fitted(train, 0 * theta), null=null,
@@ -163,99 +164,6 @@ def free_names(plant: Plant, free: Sequence[str] | None) -> tuple[tuple[str, ...
     return tuple(n for n in free if n not in zero), notes
 
 
-def first_states(plant: Plant, structure_map, data: Dataset) -> np.ndarray:
-    """Start states from the outputs: measured states from the first samples, speeds from their slope."""
-    shown, partner, ratio, units = structure_map
-    output_state = shown.state
-    nx = plant.sizes[0]
-    X0 = np.zeros((len(data.segments), nx))
-    for g, (a, b) in enumerate(data.segments[:, :2]):
-        m = int(min(b - a, 12))
-        tt = np.arange(m) * data.sample_time
-        for k, i in enumerate(output_state):
-            if i < 0:
-                continue
-            measured = shown.state_of(k, data.Y[a:a + m, k])
-            slope, level = np.polyfit(tt, measured, 1) if m > 2 else (0.0, measured[0])
-            X0[g, i] = level
-            j = partner[i]
-            if j >= 0 and j not in output_state:
-                X0[g, j] = slope / ratio[i]
-        for i in range(nx):  # an unmeasured position starts with the first measured one of its unit
-            if partner[i] >= 0 and i not in output_state:
-                alike = [k for k, s in enumerate(output_state) if s >= 0 and partner[s] >= 0 and units[s] == units[i]]
-                X0[g, i] = X0[g, output_state[alike[0]]] if alike else 0.0
-    return X0
-
-
-def _positive_start(plant, X0, data):
-    """Stores that start at zero sit at a corner of a square root: lift them to the mean output."""
-    lifted = X0.copy()
-    for i in range(X0.shape[1]):
-        if np.all(lifted[:, i] == 0.0):
-            lifted[:, i] = np.mean(np.abs(data.Y[0])) if data.Y.size else 0.0
-    return lifted
-
-
-def _eigenvalues(plant: Plant, states, inputs) -> tuple[float, float]:
-    """Largest real part and largest modulus of the linearisation's eigenvalues (per second), medians over visited
-    points."""
-    found = []
-    if plant.black_box is not None or not plant.sizes[0]:
-        return -np.inf, 0.0  # nothing that pwaid could restart in the middle of a recording
-    rng = np.random.default_rng(0)
-    for k in rng.integers(0, len(states), 8):
-        x, u = states[k], inputs[k]
-        n = len(x)
-        J = np.empty((n, n))
-        for i in range(n):
-            d = 1e-5 * max(np.max(np.abs(states[:, i])), 1e-6)
-            up, dn = x.copy(), x.copy()
-            up[i] += d
-            dn[i] -= d
-            J[:, i] = (plant.derivative(up, u) - plant.derivative(dn, u)) / (2 * d)
-        if not np.all(np.isfinite(J)):
-            continue
-        eigenvalues = np.linalg.eigvals(J)
-        if plant.dt:
-            eigenvalues = np.log(np.maximum(np.abs(eigenvalues), 1e-12)) / plant.dt
-        found.append((np.max(eigenvalues.real), np.max(np.abs(eigenvalues))))
-    growth, fastest = np.median(found, axis=0) if found else (0.0, 0.0)
-    return float(growth), float(fastest)
-
-
-def _substeps(model: Model, theta, X0, data: Dataset) -> int:
-    """Substeps per sample for which halving the step changes the outputs by less than the noise."""
-    if model.settings.plant.dt:
-        return 1
-    span = np.ptp(data.Y, axis=0) + 1e-12
-    noise = np.array([white_level(data.Y[:, k], 4) for k in range(data.Y.shape[1])])
-    allowed = np.clip(0.05 * noise, 2e-5 * span, 5e-4 * span)
-    short = replace(data, segments=data.segments.copy())
-    S, previous = 1, None
-    while S <= 32:
-        Y, _ = Model(model.settings, model.located, S).simulate(theta, X0, short)
-        same = previous is not None and np.all(np.sqrt(np.mean((Y - previous) ** 2, axis=0)) < allowed)
-        if same and np.all(np.abs(Y) < LIMIT):
-            return S // 2
-        previous = Y
-        S *= 2
-    return 8
-
-
-def segment_length(growth: float, samples: int, sample_time: float, time_scale: float) -> int:
-    """Samples per segment: whole recordings when stable, a few time constants when unstable or integrating.
-
-    `growth` is the largest real part of the eigenvalues, per second.
-    """
-    length = samples * sample_time
-    if growth * length > UNSTABLE:
-        return int(max(30, 2.5 / growth / sample_time))
-    if growth * length > -0.7:  # integrating: errors pile up over the whole recording
-        return int(max(200, min(samples, 12 * time_scale / sample_time)))
-    return samples
-
-
 def prepare(plant: Plant, train: Dataset, test: Dataset, input_units, output_units, free=None, tolerance=None,
             noise_floor=None, repeats=(), first_order_hold: bool = False, start=None) -> Problem:
     """Refit the nominal simulator and gather what the hypotheses need.
@@ -282,13 +190,13 @@ def prepare(plant: Plant, train: Dataset, test: Dataset, input_units, output_uni
     theta = np.zeros(model.size)
     scale = np.std(train.Y, axis=0) + 1e-12
 
-    growth, fastest = _eigenvalues(plant, _state_cloud(plant, rough, train), train.U)
+    growth, fastest = eigenvalues(plant, _state_cloud(plant, rough, train), train.U)
     longest = int(np.max(np.diff(train.recordings)))
     samples = segment_length(growth, longest, train.sample_time, rough.time_scale)
     coarse = train.cut(samples)
-    X0 = _starts(model, theta, coarse, mapping)
-    sliding = 1 if plant.dt else int(np.clip(np.ceil(fastest * train.sample_time / SLIDING), 1, MOST))
-    model = Model(replace(settings, substeps=_substeps(model, theta, X0, coarse), sliding=sliding))
+    X0 = usable_starts(model, theta, coarse, mapping)
+    sliding = sliding_substeps(plant, fastest, train.sample_time)
+    model = Model(replace(settings, substeps=substeps_of(model, theta, X0, coarse), sliding=sliding))
     Y, X = model.simulate(theta, X0, coarse)
     notes += _diverging(Y)
     ranges = np.minimum(np.maximum(np.quantile(np.abs(X[np.all(np.isfinite(X), axis=1)]), 0.99, axis=0), 1e-9), 1e6)
@@ -302,10 +210,10 @@ def prepare(plant: Plant, train: Dataset, test: Dataset, input_units, output_uni
     if samples < longest:
         stable = growth * longest * train.sample_time <= UNSTABLE
         begun = np.searchsorted(coarse.segments[:, 0], train.segments[:, 0])
-        starts = _starts(model, first.theta, train, mapping), first.X0[begun]
+        starts = usable_starts(model, first.theta, train, mapping), first.X0[begun]
         kept = stable and _on_whole(model, train, scale, first.theta, starts, ranges)
         if kept:
-            fits = kept, fit_starts(model, train, scale, theta, _starts(model, theta, train, mapping), ranges, 12)
+            fits = kept, fit_starts(model, train, scale, theta, usable_starts(model, theta, train, mapping), ranges, 12)
         else:
             whole = (train, test) if stable else None
             train, test = coarse, test.cut(samples)
@@ -319,7 +227,7 @@ def prepare(plant: Plant, train: Dataset, test: Dataset, input_units, output_uni
     null = fit_model(model, train, sigma, null.theta, null.X0, ranges, 20)
     null_coarse = null if train.segments.shape == coarse.segments.shape else fit_model(
         model, coarse, sigma, first.theta, first.X0, ranges, 20)
-    X0t = _starts(model, null.theta, test, mapping)
+    X0t = usable_starts(model, null.theta, test, mapping)
     if plant.black_box is not None:  # outputs do not tell its start: come near it before errors are weighted finely
         X0t = fit_starts(model, test, scale, theta, X0t, ranges, 12).X0
     nominal_test = fit_starts(model, test, sigma, theta, X0t, ranges, 12)
@@ -362,20 +270,6 @@ def _diverging(Y) -> tuple[str, ...]:
         raise InputError("the simulation diverges from every start state; check signs and units of the simulator, and "
                          "whether a sensor or a force has a constant offset that the simulator knows nothing of")
     return (f"the nominal simulation diverges on {100 * share:.0f} % of the samples before refitting",) if share else ()
-
-
-def _starts(model, theta, data: Dataset, mapping):
-    """Start states from which the plant can be simulated."""
-    X0 = first_states(model.settings.plant, mapping, data)
-    return X0 if model.settings.plant.linear else _usable_start(model, theta, X0, data)
-
-
-def _usable_start(model, theta, X0, data):
-    Y, _ = model.simulate(theta, X0, data)
-    if np.all(np.isfinite(Y)) and np.all(np.abs(Y) < LIMIT):
-        return X0
-    lifted = _positive_start(model.settings.plant, X0, data)
-    return lifted
 
 
 def _rough_structure(plant, train, input_units, output_units, free):

@@ -1,0 +1,108 @@
+"""Second looks: laws that a first pass misses or strands, fitted again from another fit or from short segments."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pwaid.mismatch.fit import Fit, fit_model, fit_starts, rough
+from pwaid.mismatch.hypotheses import (
+    Hypothesis,
+    fit_screened,
+    fit_shortlist,
+    hypothesis_of,
+    inner_laws,
+    joined,
+    on_whole,
+)
+from pwaid.mismatch.model import Located, Model
+from pwaid.mismatch.nullfit import Problem
+from pwaid.mismatch.screen import Screened, overlooked, run_jobs, screen
+from pwaid.mismatch.sensitive import SHORTEST
+
+__all__ = ["fit_by_segments", "fit_contained", "fit_lookalikes"]
+
+BRIEF = 2.5  # time constants of a segment over which no impact parts two motions
+
+
+def fit_contained(problem: Problem, singles: Sequence[Hypothesis], located: Sequence[Located], jobs: int = 1,
+                  count: int = 2) -> list[Hypothesis]:
+    """The singles, with the laws that the best ones contain fitted again from the nominal parameters found there.
+
+    A simpler law can stall where the null bent those parameters; the larger law has straightened them.
+    """
+    found = list(singles)
+    for outer in singles[:count]:
+        inner = inner_laws(outer.located[0], located)
+        if inner:
+            found += fit_screened(problem, _nominal_of(problem, outer), inner, jobs)
+    return _best_of_each(found)
+
+
+def fit_lookalikes(problem: Problem, singles: Sequence[Hypothesis], located: Sequence[Located],
+                   jobs: int = 1) -> list[Hypothesis]:
+    """The singles, with the effects that the best one is mistaken for, each at its best place, where they are missing.
+
+    Nothing is named before what resembles it has been fitted.
+    """
+    best, fitted = singles[0], {i for h in singles for i in h.ids}
+    alike = [c for c in located if c.effect.id in best.located[0].effect.confused_with and c.effect.id not in fitted]
+    if not alike:
+        return list(singles)
+    base = _nominal_of(problem, best)
+    places = overlooked(screen(problem, base, alike, jobs), ())
+    return _best_of_each([*singles, *fit_shortlist(problem, places, jobs, base=base)])
+
+
+def fit_by_segments(problem: Problem, singles: Sequence[Hypothesis], located: Sequence[Located], jobs: int = 1,
+                    count: int = 3) -> list[Hypothesis]:
+    """The singles, with laws that short segments show, and the best ones that hold impacts or dry friction, fitted
+    again from short segments that grow.
+
+    A stop, a gap, a stick or a fine ripple parts motions that start side by side, so over a whole recording the error
+    is rugged and signatures are those of another motion; over a few samples they are not.
+    """
+    null = problem.null_coarse
+    length = max(SHORTEST, int(BRIEF * problem.structure.time_scale / problem.train.sample_time))
+    data = problem.coarse.cut(length)
+    near = fit_starts(null.model, data, problem.sigma, null.theta, problem.measured(data), problem.ranges)
+    near = fit_model(null.model, data, problem.sigma, null.theta, near.X0, problem.ranges, 10)
+    brief = replace(problem, coarse=data, null_coarse=near, brief=True)
+    ranked = screen(brief, near, located, jobs)
+    parted = [h.located[0].key for h in singles if rough(h.fit.model)][:count]
+    asked = overlooked(ranked, ())[:count]
+    asked += [s for s in ranked if s.located.key in parted and s not in asked and s.starts]
+    return _best_of_each([*singles, *run_jobs(lambda s: _grown(problem, brief, s), asked, jobs)])
+
+
+def _grown(problem: Problem, brief: Problem, candidate: Screened) -> Hypothesis:
+    """The hypothesis that a fit on short segments, from the best of the screen's starts, grows into."""
+    model, data, trials = Model(problem.settings, (candidate.located,)), brief.coarse, []
+    X0 = problem.measured(data)
+    for z, nominal in itertools.product(candidate.starts, (problem.null_coarse.theta, 0 * problem.null_coarse.theta)):
+        theta = np.concatenate([nominal, z])
+        near = fit_starts(model, data, problem.sigma, theta, X0, problem.ranges)
+        trials.append(fit_model(model, data, problem.sigma, theta, near.X0, problem.ranges, 8, 1e-3))
+    best = min(trials, key=lambda f: f.cost)
+    best = fit_model(model, data, problem.sigma, best.theta, best.X0, problem.ranges)
+    coarse = joined(problem, best, data, problem.coarse, 20)
+    return hypothesis_of(problem, on_whole(problem, coarse), candidate.score, coarse)
+
+
+def _nominal_of(problem: Problem, h: Hypothesis) -> Fit:
+    """The simulator without any law, at the nominal parameters and start states of a fitted hypothesis."""
+    model, theta = problem.null_coarse.model, h.coarse.theta[:h.coarse.model.np]
+    return Fit(model, theta, h.coarse.X0, np.inf, *model.simulate(theta, h.coarse.X0, problem.coarse), 0)
+
+
+def _best_of_each(fitted: Sequence[Hypothesis]) -> list[Hypothesis]:
+    """The fit of every law at every place that leaves least in training, best first."""
+    known: dict = {}
+    for h in fitted:
+        rival = known.get(h.located[0].key)
+        if rival is None or h.train_error < rival.train_error:
+            known[h.located[0].key] = h
+    return sorted(known.values(), key=lambda h: h.train_error)
