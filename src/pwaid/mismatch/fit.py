@@ -16,7 +16,7 @@ import numpy as np
 from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.model import Model
 
-__all__ = ["Fit", "Jacobian", "fit_model", "fit_starts", "jacobian", "output_rows", "rough", "weighted"]
+__all__ = ["Fit", "Jacobian", "fit_model", "fit_starts", "jacobian", "output_rows", "weighted"]
 
 WIDTHS = (1.0, 10.0, 2.0)  # factors on the difference steps, one after the other where one stalls among kinks
 CLIP = 1e3  # weighted residuals beyond this count as this: a runaway simulation is bad, not infinite
@@ -52,14 +52,14 @@ def weighted(Y, data: Dataset, sigma) -> np.ndarray:
     return np.clip((data.Y - Y) / sigma, -CLIP, CLIP).ravel()
 
 
-def rough(model: Model) -> bool:
+def _rough(model: Model) -> bool:
     """Whether events put kinks into the cost."""
     return any(e.effect.proximal or e.effect.id in ("end_stop", "backlash", "overflow") for e in model.located)
 
 
 def _steps(model: Model, theta):
     """Difference steps: wide enough to average over the kinks that events make."""
-    kinked = rough(model)
+    kinked = _rough(model)
     steps = np.full(model.size, 2e-3 if kinked else 2e-4)
     k = model.np
     for e in model.located:
@@ -152,7 +152,7 @@ def fit_model(model: Model, data: Dataset, sigma, theta, X0, ranges, iterations:
     r = weighted(Y, data, sigma)
     cost = r @ r + np.sum((prior * theta) ** 2)
     mu, done = 1e-3, 0
-    widths = list(WIDTHS) if rough(model) and iterations >= 10 and not hold_globals else [1.0]
+    widths = list(WIDTHS) if _rough(model) and iterations >= 10 and not hold_globals else [1.0]
     while done < iterations:
         done += 1
         if hold_globals:

@@ -14,7 +14,7 @@ from pwaid.mismatch.plant import Plant
 __all__ = ["UNSTABLE", "eigenvalues", "segment_length", "sliding_substeps", "substeps_of"]
 
 UNSTABLE = 4.0  # growth over a recording, in time constants, that no start state can follow
-SLIDING, MOST = 0.5, 16  # of the fastest time constant: a step that dry friction stays stable with; substeps at most
+SLIDING, MOST = 1.5, 8  # times the fastest time constant: a step that dry friction is stable with; substeps at most
 
 
 def eigenvalues(plant: Plant, states, inputs) -> tuple[float, float]:

@@ -8,7 +8,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from pwaid.mismatch.fit import Fit, fit_model, fit_starts, rough
+from pwaid.mismatch.dataset import Dataset
+from pwaid.mismatch.fit import Fit, fit_model, fit_starts
 from pwaid.mismatch.hypotheses import (
     Hypothesis,
     fit_screened,
@@ -25,6 +26,8 @@ from pwaid.mismatch.sensitive import SHORTEST
 
 __all__ = ["fit_by_segments", "fit_contained", "fit_lookalikes"]
 
+PARTING = ("end_stop", "backlash", "overflow", "position_ripple")  # laws that part motions
+FIRST, PROMISING = 1200, 0.5  # samples on which starts are tried; share of the null's error there worth going on from
 BRIEF = 2.5  # time constants of a segment over which no impact parts two motions
 
 
@@ -59,12 +62,14 @@ def fit_lookalikes(problem: Problem, singles: Sequence[Hypothesis], located: Seq
 
 def fit_by_segments(problem: Problem, singles: Sequence[Hypothesis], located: Sequence[Located], jobs: int = 1,
                     count: int = 3) -> list[Hypothesis]:
-    """The singles, with laws that short segments show, and the best ones that hold impacts or dry friction, fitted
-    again from short segments that grow.
+    """The singles, with stops, gaps, brims and ripples fitted again from short segments that grow: those that were
+    fitted, and those among the best that short segments show.
 
-    A stop, a gap, a stick or a fine ripple parts motions that start side by side, so over a whole recording the error
-    is rugged and signatures are those of another motion; over a few samples they are not.
+    They part motions that start side by side, so over a whole recording the error is rugged and signatures are those
+    of another motion; over a few samples they are not.
     """
+    if not any(c.effect.id in PARTING for c in located):
+        return list(singles)
     null = problem.null_coarse
     length = max(SHORTEST, int(BRIEF * problem.structure.time_scale / problem.train.sample_time))
     data = problem.coarse.cut(length)
@@ -72,24 +77,40 @@ def fit_by_segments(problem: Problem, singles: Sequence[Hypothesis], located: Se
     near = fit_model(null.model, data, problem.sigma, null.theta, near.X0, problem.ranges, 10)
     brief = replace(problem, coarse=data, null_coarse=near, brief=True)
     ranked = screen(brief, near, located, jobs)
-    parted = [h.located[0].key for h in singles if rough(h.fit.model)][:count]
-    asked = overlooked(ranked, ())[:count]
-    asked += [s for s in ranked if s.located.key in parted and s not in asked and s.starts]
-    return _best_of_each([*singles, *run_jobs(lambda s: _grown(problem, brief, s), asked, jobs)])
+    fitted = [h.located[0].key for h in singles if h.ids[0] in PARTING]
+    shown = overlooked(ranked, ())[:count]
+    asked = [s for s in ranked if s.starts and s.located.effect.id in PARTING
+             and (s in shown or s.located.key in fitted)][:count]
+    grown = run_jobs(lambda s: _grown(problem, brief, s), asked, jobs)
+    return _best_of_each([*singles, *(h for h in grown if h is not None)])
 
 
-def _grown(problem: Problem, brief: Problem, candidate: Screened) -> Hypothesis:
-    """The hypothesis that a fit on short segments, from the best of the screen's starts, grows into."""
-    model, data, trials = Model(problem.settings, (candidate.located,)), brief.coarse, []
-    X0 = problem.measured(data)
+def _grown(problem: Problem, brief: Problem, candidate: Screened) -> Hypothesis | None:
+    """The hypothesis that a fit on short segments, from the best of the screen's starts, grows into; None where it
+    leaves more than half of what the null leaves on the segments that tell most."""
+    model, data = Model(problem.settings, (candidate.located,)), brief.coarse
+    energy = np.sum(((data.Y - brief.null_coarse.Y) / problem.sigma) ** 2, axis=1)
+    part, index = data.windows(_telling(data, energy))
+    X0, trials = problem.measured(part), []
     for z, nominal in itertools.product(candidate.starts, (problem.null_coarse.theta, 0 * problem.null_coarse.theta)):
         theta = np.concatenate([nominal, z])
-        near = fit_starts(model, data, problem.sigma, theta, X0, problem.ranges)
-        trials.append(fit_model(model, data, problem.sigma, theta, near.X0, problem.ranges, 8, 1e-3))
+        near = fit_starts(model, part, problem.sigma, theta, X0, problem.ranges)
+        trials.append(fit_model(model, part, problem.sigma, theta, near.X0, problem.ranges, 8, 1e-3))
     best = min(trials, key=lambda f: f.cost)
-    best = fit_model(model, data, problem.sigma, best.theta, best.X0, problem.ranges)
+    if best.cost > PROMISING * np.sum(energy[index]):
+        return None
+    near = fit_starts(model, data, problem.sigma, best.theta, problem.measured(data), problem.ranges)
+    best = fit_model(model, data, problem.sigma, best.theta, near.X0, problem.ranges)
     coarse = joined(problem, best, data, problem.coarse, 20)
     return hypothesis_of(problem, on_whole(problem, coarse), candidate.score, coarse)
+
+
+def _telling(data: Dataset, energy) -> list[tuple[int, int]]:
+    """The segments with the largest errors, `FIRST` samples in all, in order of time."""
+    spans = [(int(a), int(b)) for a, b in data.segments[:, :2]]
+    ranked = sorted(spans, key=lambda s: -float(np.sum(energy[s[0]:s[1]])))
+    count = int(np.searchsorted(np.cumsum([b - a for a, b in ranked]), FIRST)) + 1
+    return sorted(ranked[:count])
 
 
 def _nominal_of(problem: Problem, h: Hypothesis) -> Fit:
