@@ -59,12 +59,12 @@ def _rough(model: Model) -> bool:
 
 def _steps(model: Model, theta):
     """Difference steps: wide enough to average over the kinks that events make."""
-    kinked = _rough(model)
-    steps = np.full(model.size, 2e-3 if kinked else 2e-4)
+    rough = _rough(model)
+    steps = np.full(model.size, 2e-3 if rough else 2e-4)
     k = model.np
     for e in model.located:
         for q in e.effect.quantities:
-            steps[k] = (5e-3 if kinked else 1e-3) * (1.0 if q.log else max(abs(theta[k]), 0.03))
+            steps[k] = (5e-3 if rough else 1e-3) * (1.0 if q.log else max(abs(theta[k]), 0.03))
             k += 1
     return steps
 

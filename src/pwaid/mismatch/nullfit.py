@@ -241,8 +241,8 @@ def prepare(plant: Plant, train: Dataset, test: Dataset, input_units, output_uni
                       null_coarse, nominal_test, null_test, notes, whole)
     if plant.rhs is None:
         return problem
-    problem = problem.kept()
-    return steadied(problem) if samples >= longest else problem
+    steady = steadied(problem) if samples >= longest else problem
+    return problem.kept() if steady is problem else steady  # where it parts, no start state is a lost one
 
 
 def _on_whole(model, train, scale, theta, starts, ranges) -> Fit | None:

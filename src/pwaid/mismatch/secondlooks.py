@@ -26,7 +26,7 @@ from pwaid.mismatch.sensitive import SHORTEST
 
 __all__ = ["fit_by_segments", "fit_contained", "fit_lookalikes"]
 
-PARTING = ("end_stop", "backlash", "overflow", "position_ripple")  # laws that part motions
+PARTING = ("end_stop", "backlash", "position_ripple")  # laws that part motions; a brim joins them
 FIRST, PROMISING = 1200, 0.5  # samples on which starts are tried; share of the null's error there worth going on from
 BRIEF = 2.5  # time constants of a segment over which no impact parts two motions
 
@@ -62,7 +62,7 @@ def fit_lookalikes(problem: Problem, singles: Sequence[Hypothesis], located: Seq
 
 def fit_by_segments(problem: Problem, singles: Sequence[Hypothesis], located: Sequence[Located], jobs: int = 1,
                     count: int = 3) -> list[Hypothesis]:
-    """The singles, with stops, gaps, brims and ripples fitted again from short segments that grow: those that were
+    """The singles, with stops, gaps and ripples fitted again from short segments that grow: those that were
     fitted, and those among the best that short segments show.
 
     They part motions that start side by side, so over a whole recording the error is rugged and signatures are those
@@ -81,23 +81,24 @@ def fit_by_segments(problem: Problem, singles: Sequence[Hypothesis], located: Se
     shown = overlooked(ranked, ())[:count]
     asked = [s for s in ranked if s.starts and s.located.effect.id in PARTING
              and (s in shown or s.located.key in fitted)][:count]
-    grown = run_jobs(lambda s: _grown(problem, brief, s), asked, jobs)
+    energy = np.sum(((data.Y - near.Y) / problem.sigma) ** 2, axis=1)
+    part, index = data.windows(_telling(data, energy))
+    worth = PROMISING * np.sum(energy[index])
+    grown = run_jobs(lambda s: _grown(problem, data, part, worth, s), asked, jobs)
     return _best_of_each([*singles, *(h for h in grown if h is not None)])
 
 
-def _grown(problem: Problem, brief: Problem, candidate: Screened) -> Hypothesis | None:
+def _grown(problem: Problem, data: Dataset, part: Dataset, worth: float, candidate: Screened) -> Hypothesis | None:
     """The hypothesis that a fit on short segments, from the best of the screen's starts, grows into; None where it
-    leaves more than half of what the null leaves on the segments that tell most."""
-    model, data = Model(problem.settings, (candidate.located,)), brief.coarse
-    energy = np.sum(((data.Y - brief.null_coarse.Y) / problem.sigma) ** 2, axis=1)
-    part, index = data.windows(_telling(data, energy))
+    costs more than `worth` on `part`, the segments that tell most."""
+    model = Model(problem.settings, (candidate.located,))
     X0, trials = problem.measured(part), []
     for z, nominal in itertools.product(candidate.starts, (problem.null_coarse.theta, 0 * problem.null_coarse.theta)):
         theta = np.concatenate([nominal, z])
         near = fit_starts(model, part, problem.sigma, theta, X0, problem.ranges)
         trials.append(fit_model(model, part, problem.sigma, theta, near.X0, problem.ranges, 8, 1e-3))
     best = min(trials, key=lambda f: f.cost)
-    if best.cost > PROMISING * np.sum(energy[index]):
+    if best.cost > worth:
         return None
     near = fit_starts(model, data, problem.sigma, best.theta, problem.measured(data), problem.ranges)
     best = fit_model(model, data, problem.sigma, best.theta, near.X0, problem.ranges)
