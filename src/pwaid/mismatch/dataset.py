@@ -102,20 +102,6 @@ class Dataset:
         """The first samples of every segment, each as a recording of its own."""
         return self.windows([(a, min(a + samples, b)) for a, b in self.segments[:, :2]])[0]
 
-    def part(self, which: Sequence[int]) -> Dataset:
-        """The chosen recordings as a data set of their own."""
-        rec = self.recordings
-        keep = np.concatenate([np.arange(*rec[i]) for i in which])
-        new, rows = 0, []
-        for i in which:
-            a, b = rec[i]
-            for s in self.segments[(self.segments[:, 2] == a)]:
-                rows.append((s[0] - a + new, s[1] - a + new, new, new + b - a, *s[4:]))
-            new += b - a
-        return Dataset(tuple(self.names[i] for i in which), np.ascontiguousarray(self.U[keep]),
-                       np.ascontiguousarray(self.Y[keep]), np.array(rows, dtype=np.int64), self.sample_time,
-                       tuple(self.before[i] for i in which) if self.before else ())
-
     def and_also(self, other: Dataset) -> Dataset:
         """This data set and another of the same channels and sampling, as one."""
         behind = other.segments.copy()

@@ -54,8 +54,9 @@ def signatures(problem: Problem, fit: Fit) -> np.ndarray:
     taken = {(e.effect.id, e.place.signal) for e in fit.model.located}
     room = len(fit.model.located) < 3
     found = []
-    for c in locate_effects([e for e in CATALOGUE if e.id in SMALL], problem.structure) if room else ():
-        if (c.effect.id, c.place.signal) not in taken and c.effect.kernel is not one_sided_gain:
+    small = [e for e in CATALOGUE if e.id in SMALL and e.kernel is not one_sided_gain]
+    for c in locate_effects(small, problem.structure) if room else ():
+        if (c.effect.id, c.place.signal) not in taken:
             s = _signature(problem, fit, c)
             if s is not None:
                 found.append(s)

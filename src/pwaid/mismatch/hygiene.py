@@ -9,6 +9,7 @@ import numpy as np
 
 from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.nullfit import Problem
+from pwaid.mismatch.structure import on_line
 from pwaid.mismatch.timing import timing_notes
 from pwaid.mismatch.units import combine
 
@@ -156,9 +157,7 @@ def _accelerations(s):
     rates, shown = (np.array([f(x, u) for x, u in points]) for f in (s.plant.derivative, s.plant.outputs))
     notes = []
     for v, k in itertools.product(s.velocities(), range(shown.shape[1])):
-        slope, level = np.polyfit(rates[:, v], shown[:, k], 1) if np.ptp(rates[:, v]) > 0 else (0.0, 0.0)
-        near = np.allclose(slope * rates[:, v] + level, shown[:, k], rtol=1e-8, atol=1e-9 * np.max(np.abs(shown[:, k])))
-        if s.output_state[k] < 0 and slope and near:
+        if s.output_state[k] < 0 and on_line(rates[:, v], shown[:, k]) is not None:
             notes.append(f"{s.plant.output_names[k]} is the acceleration of {s.plant.state_names[v]}: forces that the "
                          "simulator leaves out are looked for, but not added to this output; without it in the case "
                          "they may be found")

@@ -11,6 +11,7 @@ from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.fit import Fit, fit_model
 from pwaid.mismatch.model import Located, Model
 from pwaid.mismatch.nullfit import Problem
+from pwaid.mismatch.scout import part_of
 from pwaid.mismatch.screen import Screened, other_laws, run_jobs, screen
 
 __all__ = ["Hypothesis", "fit_screened", "fit_shortlist", "floor_square", "hypothesis_of", "inner_laws", "joined",
@@ -94,7 +95,7 @@ def _window(problem: Problem, base: Fit, samples: int = 600) -> tuple[Dataset, n
         first = a + int(np.argmax(running[n:] - running[:-n]))
         spans.append((first, first + n))
     part, index = data.windows(spans)
-    return part, base.X[index[part.segments[:, 0]], :base.model.nx]
+    return part, part_of(base, part, index).X0
 
 
 def _trials(problem: Problem, base: Fit, candidate: Screened) -> list[Fit]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from pwaid.errors import InputError
 from pwaid.mismatch.plant import Plant
-from pwaid.mismatch.structure import OutputMap, Structure
+from pwaid.mismatch.structure import OutputMap, Structure, on_line, two_terms
 from pwaid.mismatch.units import KNOWN, combine, factor_of, parse_unit, scaled_unit, unit_kind
 
 __all__ = ["find_structure"]
@@ -173,13 +173,9 @@ def _output_map(plant, points) -> OutputMap:
     state, gains, offsets = [-1] * plant.sizes[2], [1.0] * plant.sizes[2], [0.0] * plant.sizes[2]
     for k, y in enumerate(G.T):
         for i, x in enumerate(Xs.T):
-            if not (np.ptp(x) > 0 and np.ptp(y) > 0):
-                continue
-            gain = float((y - y.mean()) @ (x - x.mean()) / ((x - x.mean()) @ (x - x.mean())))
-            offset = float(y.mean() - gain * x.mean())
-            offset = 0.0 if abs(offset) < 1e-9 * np.max(np.abs(y)) else offset
-            if np.allclose(y, gain * x + offset, rtol=1e-9, atol=1e-12 * np.max(np.abs(y))):
-                state[k], gains[k], offsets[k] = i, gain, offset
+            line = on_line(x, y)
+            if line is not None:
+                state[k], (gains[k], offsets[k]) = i, line
     return OutputMap(tuple(state), tuple(gains), tuple(offsets))
 
 
@@ -234,15 +230,14 @@ def _relative_speeds(kinds, units, plant, points):
     if np.linalg.matrix_rank(Xs) < Xs.shape[1]:
         return
     for rate in F.T:
-        weights = np.linalg.lstsq(Xs, rate, rcond=None)[0]
-        size = np.max(np.abs(weights * Xs), axis=0)
-        pair = np.flatnonzero(size > 1e-9 * np.max(size))
-        if len(pair) != 2 or not np.allclose(Xs @ weights, rate, rtol=1e-9, atol=1e-12 * np.max(np.abs(rate))):
+        found = two_terms(Xs, rate)
+        if found is None:
             continue
+        pair, weights = found
+        same = np.isclose(*np.abs(weights), rtol=1e-6)
         for known, other in (pair, pair[::-1]):
             if kinds[known] == "velocity" and kinds[other] in ("unknown", "abstract"):
                 kinds[other] = "velocity"
-                same = np.isclose(abs(weights[known]), abs(weights[other]), rtol=1e-6)
                 units[other] = units[other] or (units[known] if same else {})
 
 

@@ -151,7 +151,7 @@ def _basis(M, tol: float = 1e-7):
 
 
 def _probe_grid(located: Located, problem: Problem, residual) -> list[np.ndarray]:
-    """Starts on the fitted axis: the product of each parameter's probes, thinned to at most 48."""
+    """Starts on the fitted axis: the product of each parameter's probes, thinned to 36; of a ripple, all."""
     effect = located.effect
     options = []
     for q in effect.quantities:
@@ -165,9 +165,8 @@ def _probe_grid(located: Located, problem: Problem, residual) -> list[np.ndarray
             values = (step / located.scales[0],) if step else values
         options.append(values)
     grid = [located.internal(m) for m in product(*options)]
-    cap = len(grid) if effect.id == "position_ripple" else 36
-    if len(grid) > cap:
-        grid = [grid[i] for i in np.linspace(0, len(grid) - 1, cap).astype(int)]
+    if len(grid) > 36 and effect.id != "position_ripple":
+        grid = [grid[i] for i in np.linspace(0, len(grid) - 1, 36).astype(int)]
     return grid
 
 

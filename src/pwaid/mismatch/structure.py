@@ -16,7 +16,27 @@ from pwaid.mismatch.inertia import shown_inertia
 from pwaid.mismatch.plant import Plant
 from pwaid.mismatch.units import KNOWN, factor_of, parse_unit
 
-__all__ = ["OutputMap", "Structure"]
+__all__ = ["OutputMap", "Structure", "on_line", "two_terms"]
+
+
+def on_line(x, y) -> tuple[float, float] | None:
+    """Gain and offset where y = gain * x + offset holds at all samples (n,); None where it does not."""
+    if not (np.ptp(x) > 0 and np.ptp(y) > 0):
+        return None
+    gain = float((y - y.mean()) @ (x - x.mean()) / ((x - x.mean()) @ (x - x.mean())))
+    offset = float(y.mean() - gain * x.mean())
+    offset = 0.0 if abs(offset) < 1e-9 * np.max(np.abs(y)) else offset
+    holds = np.allclose(y, gain * x + offset, rtol=1e-9, atol=1e-12 * np.max(np.abs(y)))
+    return (gain, offset) if holds else None
+
+
+def two_terms(columns, rate) -> tuple[np.ndarray, np.ndarray] | None:
+    """The two columns, and their weights, whose sum a rate (n,) is at all samples; None where it is not of two."""
+    weights = np.linalg.lstsq(columns, rate, rcond=None)[0]
+    size = np.max(np.abs(weights * columns), axis=0)
+    pair = np.flatnonzero(size > 1e-9 * np.max(size))
+    holds = np.allclose(columns @ weights, rate, rtol=1e-9, atol=1e-12 * np.max(np.abs(rate)))
+    return (pair, weights[pair]) if holds and len(pair) == 2 else None
 
 
 @dataclass(frozen=True)
@@ -222,14 +242,11 @@ class Structure:
         points = self.points(4 + len(vs))
         rates = np.array([self.plant.derivative(x, u)[z] for x, u in points])
         speeds = np.array([x[vs] for x, _ in points])
-        weights = np.linalg.lstsq(speeds, rates, rcond=None)[0]
-        size = np.max(np.abs(weights * speeds), axis=0)
-        if not np.allclose(speeds @ weights, rates, rtol=1e-8, atol=1e-12 * np.max(np.abs(rates))):
+        found = two_terms(speeds, rates)
+        if found is None or np.prod(found[1]) >= 0:
             return None
-        pair = np.flatnonzero(size > 1e-9 * np.max(size))
-        if len(pair) != 2 or weights[pair[0]] * weights[pair[1]] >= 0:
-            return None
-        return (vs[pair[0]], vs[pair[1]]), (float(weights[pair[0]]), float(weights[pair[1]]))
+        (a, b), weights = found
+        return (vs[a], vs[b]), (float(weights[0]), float(weights[1]))
 
     def points(self, count: int) -> list[tuple[np.ndarray, np.ndarray]]:
         """States and inputs within the ranges met."""
