@@ -116,7 +116,7 @@ def draw(studies: dict, folder: Path) -> None:
 def main() -> None:
     args = options(__doc__.splitlines()[0])
     out = args.save or Path(tempfile.mkdtemp(prefix="pwaid_actuators_"))
-    samples = 800 if args.quick else 3000
+    samples = 500 if args.quick else 3000
     studies = {
         "dc_motor": study("dc_motor", DC_MOTOR, motor_recording, samples, ["inertia", "viscous"], "speed",
                           DCMotor().friction.torque, 30.0, out),
