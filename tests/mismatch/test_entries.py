@@ -9,7 +9,6 @@ from tests_support import TRUE, pushed
 
 from pwaid.mismatch.effects.registry import effect_by_id
 from pwaid.mismatch.explain import explain
-from pwaid.mismatch.hygiene import _accelerations
 from pwaid.mismatch.plant import as_plant
 from pwaid.mismatch.probing import find_structure
 from pwaid.recording import Recording
@@ -54,18 +53,6 @@ def test_a_force_on_a_coupled_body_enters_where_its_drive_does():
     structure = _structure(crane, ["V"], ["m", "rad"])
     assert structure.entry[1] == (0, 0, -1) and structure.entry[3][0] == 1
     assert structure.force_units[1] == {"V": 1}
-
-
-def test_an_output_that_is_an_acceleration_is_said_to_miss_forces():
-    def update(t, x, u, params):
-        return np.array([x[1], (u[0] - params["b"] * x[1]) / params["m"]])
-
-    lift = control.nlsys(update, lambda t, x, u, p: np.array([x[1], update(t, x, u, p)[1]]), inputs=["F"],
-                         outputs=["v", "a"], states=["s", "v"], params={"m": 2.0, "b": 0.3})
-    (note,) = _accelerations(_structure(lift, ["N"], ["m/s", "m/s^2"]))
-    assert note.startswith("a is the acceleration of v")
-    assert _accelerations(_structure(control.nlsys(update, lambda t, x, u, p: x[:1], inputs=["F"], outputs=["s"],
-                                                   states=["s", "v"], params={"m": 2.0, "b": 0.3}), ["N"], ["m"])) == []
 
 
 def test_a_start_state_that_only_the_whole_recording_loses_is_no_missing_physics():

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from tests_support import oscillator, record
 
+from pwaid.mismatch.accelerometers import rates_shown
 from pwaid.mismatch.built import with_arguments
 from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.effects.registry import CATALOGUE
@@ -37,6 +38,10 @@ def turntable(t, x, u, params):
     return np.array([x[1], 9.0 * (0.2 - x[0]) - 4.0 * x[1], (u[0] - params["b"] * x[2]) / (params["J"] + x[0] ** 2)])
 
 
+def sprung(t, x, u, params):
+    return np.array([x[1], (u[0] - params["k"] * x[0] - params["b"] * x[1]) / params["m"]])
+
+
 def tanks(t, x, u, params):
     upper, lower = np.sqrt(np.maximum(x[0], 0.0)), np.sqrt(np.maximum(x[1], 0.0))
     return np.array([params["a"] * (u[0] + 3.0) - params["b"] * upper, params["b"] * upper - params["c"] * lower])
@@ -44,6 +49,11 @@ def tanks(t, x, u, params):
 
 def both_angles(t, x, u, params):
     return np.array([x[0], x[2]])
+
+
+def linked_tanks(t, x, u, params):
+    link, drain = params["link"] * (x[0] - x[1]), params["drain"] * x[1]
+    return np.array([params["pump"] * (u[0] + 3.0) - link, link - drain])
 
 
 def lower_level(t, x, u, params):
@@ -69,6 +79,10 @@ PLANTS = {  # simulator, input unit, output unit
                                 states=["r", "rdot", "w"], params={"J": 0.3, "b": 0.1}), "N m", "rad/s"),
     "tanks": (control.nlsys(tanks, lower_level, inputs=["pump"], outputs=["level"],
                             states=["h1", "h2"], params={"a": 0.3, "b": 0.5, "c": 0.4}), "V", "m"),
+    "linked tanks": (control.nlsys(linked_tanks, lower_level, inputs=["pump"], outputs=["level"],
+                                   states=["h1", "h2"], params={"link": 0.5, "drain": 0.4, "pump": 0.2}), "V", "m"),
+    "accelerometer": (control.nlsys(sprung, lambda t, x, u, params: sprung(t, x, u, params)[1:] / 9.81, inputs=["F"],
+                                    outputs=["a"], states=["s", "v"], params={"m": 0.8, "k": 6.0, "b": 0.2}), "N", "g"),
     "linear": (_linear(0.0), "N", "m"),
     "discrete": (_linear(0.02), "N", "m"),
 }
@@ -80,10 +94,12 @@ def _setting(name):
     nx, _, ny = plant.sizes
     rng = np.random.default_rng(0)
     data = Dataset(DATA.names, DATA.U, np.repeat(DATA.Y, ny, axis=1), DATA.segments, DATA.sample_time)
-    states = rng.uniform(0.2, 1.0, (64, nx)) if name == "tanks" else rng.normal(size=(64, nx))
+    states = rng.uniform(0.2, 1.0, (64, nx)) if "tanks" in name else rng.normal(size=(64, nx))
     free = tuple(plant.parameters)[:2]
     s = find_structure(plant, states, data.U, data.Y, [input_unit], [output_unit] * ny, data.sample_time, 1.6, free)
-    return plant, data, s, Settings(plant, s.partner, s.ratio, free, np.full(len(free), 0.3), 2)
+    shown, gain = rates_shown(s)
+    return plant, data, s, Settings(plant, s.partner, s.ratio, free, np.full(len(free), 0.3), 2,
+                                   shown=shown, gain=gain)
 
 
 def _hypothesis(settings, located, data):

@@ -50,3 +50,51 @@ def test_both_outflows_are_one_law():
     assert outlets == pytest.approx(OUT, rel=0.03)
     one_tank = min(h.test_error for h in found.singles if h.ids == ("square_root_outflow",) and len(h.values()[0]) == 1)
     assert one_tank > 1.5 * decision.chosen.test_error  # a law of one tank is not enough
+
+
+def linked(t, x, u, params):
+    """The lower tank first; a linear pipe between the tanks and a linear drain, levels in cm."""
+    through, out = params["pipe"] * (x[1] - x[0]), params["drain"] * x[0]
+    return np.array([(through - out) / params["a1"], (params["pump"] * u[0] - through) / params["a2"]])
+
+
+TRUE_TANKS = {"pipe": 2.6, "drain": 1.0, "pump": 6.0, "a1": 110.0, "a2": 150.0}
+
+
+def linked_recording(seed: int, flows) -> Recording:
+    """Steps of the pump on two linked tanks; flows(upper, lower) gives those through the pipe and the drain."""
+    rng = np.random.default_rng(seed)
+    u = np.repeat(rng.uniform(2.0, 7.0, 12), 50)
+    x, y, h, p = np.array([8.0, 14.0]), np.empty((u.size, 2)), 0.25, TRUE_TANKS
+    for k in range(u.size):
+        y[k] = x
+        for _ in range(12):
+            through, out = flows(x[1], x[0])
+            x = np.maximum(x + h * np.array([(through - out) / p["a1"], (p["pump"] * u[k] - through) / p["a2"]]), 0.0)
+    return Recording(3.0 * np.arange(u.size), u[:, None], y + 0.05 * rng.normal(size=y.shape), ("pump",), ("low", "up"),
+                     {"pump": "V", "low": "cm", "up": "cm"}, name=f"r{seed}.csv")
+
+
+FLOWS = {
+    "orifice beside the drain": lambda up, low: (2.6 * (up - low), low + 4.0 * np.sqrt(low)),
+    "sharp pipe": lambda up, low: (8.0 * np.sign(up - low) * np.sqrt(abs(up - low)), low),
+    "sharp drain": lambda up, low: (2.6 * (up - low), 5.0 * np.sqrt(low)),
+}
+NOTES = {"orifice beside the drain": "", "sharp pipe": "through pipe", "sharp drain": "through drain"}
+
+
+@pytest.mark.parametrize("name", FLOWS)
+def test_one_sharp_outlet_of_linked_tanks_is_found(name):
+    simulator = control.nlsys(linked, lambda t, x, u, p: x, inputs=["pump"], outputs=["low", "up"],
+                              states=["low", "up"], params=TRUE_TANKS | {"pipe": 2.4, "drain": 1.1})
+    runs = [linked_recording(s, FLOWS[name]) for s in (1, 2, 3)]
+    effects = [e for i in ("square_root_outflow", "head_offset", "leakage") for e in effect_by_id(i)]
+    found = collect(simulator, runs[:2], runs[2:], ["pipe", "drain"], effects=effects)
+    decision = decide(found.problem, found.null, found.singles, found.pairs)
+    assert (decision.verdict, decision.chosen.ids) == ("named", ("square_root_outflow",))
+    (outlet,) = decision.chosen.located
+    assert outlet.place.note == NOTES[name]
+    if not outlet.place.note:
+        assert outlet.place.signal == "low"
+        assert decision.chosen.values()[0][0] == pytest.approx(4.0 / 110.0, rel=0.05)
+        assert outlet.units() == ["cm^0.5/s"]

@@ -10,14 +10,15 @@ phase  what the effect may do
 2      after it: add to the derivative, set the derivative of its own extra states
 3      at a sample: change the outputs (``dx`` holds y)
 4      after the substep, near rest: dry friction as a proximal step (``dx``: mobility column)
-5      while sliding: dry friction as a force of known sign (``xs``: mobility column)
+5      while sliding: dry friction as a force of known sign (``xs``: mobility column along the motion)
 ====== ===================================================================================
 
-While a body slides, dry friction is a force of fixed sign inside the Runge-Kutta step. A substep in
-which it would reverse, stop or be released is repeated in eight pieces; a piece that holds the event
-is a *proximal* step: the velocity that the smooth forces would reach is pulled towards zero by at
-most h·mobility·level, and the position corrected to second order. Sticking is exact, nothing is
-stiff, and no smoothing width of sign(v) has to be chosen.
+While a body slides, dry friction is a force of fixed sign inside the Runge-Kutta step: that of the
+speed with which the substep began, since a stage that turned it early could keep the step from ever
+reaching rest. A substep in which it would reverse, stop or be released is repeated in eight pieces; a
+piece that holds the event is a *proximal* step: the velocity that the smooth forces would reach is
+pulled towards zero by at most h·mobility·level, and the position corrected to second order. Sticking
+is exact, nothing is stiff, and no smoothing width of sign(v) has to be chosen.
 """
 
 from __future__ import annotations
@@ -32,11 +33,12 @@ from numba.core import cgutils
 from numba.core.errors import NumbaExperimentalFeatureWarning
 from numba.extending import intrinsic
 
-__all__ = ["EFFECT_TYPE", "OUT_TYPE", "RHS_TYPE", "idle", "simulate_segments", "simulate_variants", "still"]
+__all__ = ["BRIEF", "EFFECT_TYPE", "OUT_TYPE", "RHS_TYPE", "idle", "simulate_segments", "simulate_variants", "still"]
 
 # everything here is compiled at import; passing functions on to inner functions is what numba warns about
 warnings.filterwarnings("ignore", category=NumbaExperimentalFeatureWarning)
 
+BRIEF = 1e-3  # of a substep: the time over which an acceleration is read off, dry friction at rest included
 _V = f8[::1]
 RHS_TYPE = types.FunctionType(types.void(f8, _V, _V, _V, _V))
 OUT_TYPE = RHS_TYPE
@@ -95,6 +97,14 @@ def _mobility(rhs, t, x, u, p, col, ii, head, base, us, xs):
         col[ii[2]] = 1.0
 
 
+@njit(types.void(_V, i8, f8), cache=True, nogil=True, error_model="numpy")
+def _turn(col, i, speed):
+    """Turn a mobility column along the motion: its entry i gets the sign of that speed."""
+    if (col[i] > 0.0) != (speed > 0.0):
+        for k in range(col.size):
+            col[k] = -col[k]
+
+
 @njit(types.void(f8[:, ::1], i8, i8, i8, i8, i8, _V, _V, f8, f8), cache=True, nogil=True, error_model="numpy")
 def _input_at(U, first, last, k, s, S, delay, u, Ts, hold):
     """Mean of each delayed input over substep s of sample k; samples before the first repeat it."""
@@ -123,24 +133,61 @@ def _input_at(U, first, last, k, s, S, delay, u, Ts, hold):
                 u[j] = w * va + (1.0 - w) * vb
 
 
+@njit(
+    types.void(RHS_TYPE, EFFECT_TYPE, EFFECT_TYPE, EFFECT_TYPE, i8, f8, f8, _V, _V, _V, _V, _V, _V, i8[:, ::1],
+               f8[:, ::1], i8[::1], i8[::1], _V, _V),
+    cache=True, nogil=True, error_model="numpy",
+)
+def _accelerations(rhs, e0, e1, e2, ne, t, h, x, xs, u, us, p, ps, II, Q, proximal, shown, gain, y):
+    """Add to outputs that show the rate of a state what the effects add to that rate, dry friction included: the
+    plant's own output function knows nothing of it. xs, us, ps are what the effects let the plant see."""
+    nt, nx = x.size, xs.size
+    plain, k, w, full = np.zeros(nx), np.zeros(nt), np.zeros(nt), x.copy()
+    rhs(t, x[:nx], us, ps, plain)  # what the output function took
+    rhs(t, xs, us, ps, k[:nx])
+    full[:nx] = xs
+    if ne > 0:
+        e0(2, t, h, x, full, us, ps, k, II[0], Q[0])
+    if ne > 1:
+        e1(2, t, h, x, full, us, ps, k, II[1], Q[1])
+    if ne > 2:
+        e2(2, t, h, x, full, us, ps, k, II[2], Q[2])
+    brief = BRIEF * h
+    for i in range(nt):
+        w[i] = x[i] + brief * k[i]
+    for e in range(ne):
+        if proximal[e] > 0:
+            column = np.zeros(nt)
+            _mobility(rhs, t, x, u, p, column, II[e], column[:nx], np.zeros(nx), np.zeros(u.size), np.zeros(nx))
+            if e == 0:
+                e0(4, t, brief, w, x, u, p, column, II[e], Q[e])
+            elif e == 1:
+                e1(4, t, brief, w, x, u, p, column, II[e], Q[e])
+            else:
+                e2(4, t, brief, w, x, u, p, column, II[e], Q[e])
+    for i in range(y.size):
+        if shown[i] >= 0:
+            y[i] += gain[i] * ((w[shown[i]] - x[shown[i]]) / brief - plain[shown[i]])
+
+
 def simulate_segments(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, discrete, p, II, Q,
-                      proximal, partner, ratio, X, Y, limit) -> int:
+                      proximal, partner, ratio, shown, gain, X, Y, limit) -> int:
     """Simulate every segment from its own start; fill the states X and the outputs Y at the samples.
 
     Returns the number of segments that left the range |x| <= limit or became NaN; from there on
     their outputs are filled with `limit`.
     """
     return _loop(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, discrete, p, II, Q, proximal,
-                 partner, ratio, X, Y, limit, _work(X0, U, Y, p))
+                 partner, ratio, shown, gain, X, Y, limit, _work(X0, U, Y, p))
 
 
 def simulate_variants(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, discrete, p, II, Q,
-                      proximal, partner, ratio, Y, limit) -> int:
+                      proximal, partner, ratio, shown, gain, Y, limit) -> int:
     """The same for several X0, delay, p and Q, the first axis of each and of Y: one call, since handing compiled
     functions over costs 0.6 ms."""
     X = np.empty((len(U), X0.shape[2]))
     return _variants(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, discrete, p, II, Q, proximal,
-                     partner, ratio, X, Y, limit, _work(X0[0], U, Y[0], p[0]))
+                     partner, ratio, shown, gain, X, Y, limit, _work(X0[0], U, Y[0], p[0]))
 
 
 def _work(X0, U, Y, p) -> np.ndarray:
@@ -149,11 +196,12 @@ def _work(X0, U, Y, p) -> np.ndarray:
 
 @njit(
     i8(RHS_TYPE, OUT_TYPE, EFFECT_TYPE, EFFECT_TYPE, EFFECT_TYPE, i8, i8, f8[:, ::1], i8[:, ::1], f8[:, ::1],
-       _V, f8, i8, f8, i8, _V, i8[:, ::1], f8[:, ::1], i8[::1], i8[::1], _V, f8[:, ::1], f8[:, ::1], f8, f8[:, ::1]),
+       _V, f8, i8, f8, i8, _V, i8[:, ::1], f8[:, ::1], i8[::1], i8[::1], _V, i8[::1], _V, f8[:, ::1], f8[:, ::1], f8,
+       f8[:, ::1]),
     cache=True, nogil=True, error_model="numpy",
 )
 def _loop(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, discrete, p, II, Q,
-          proximal, partner, ratio, X, Y, limit, work):
+          proximal, partner, ratio, shown, gain, X, Y, limit, work):
     """The loop of `simulate_segments`; work (14, longest) holds what would otherwise be allocated.
 
     One body on purpose: passing its two dozen arrays to inner functions, or slicing them inside the loops, costs
@@ -179,6 +227,10 @@ def _loop(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, dis
             any_prox = True
     p0, p1, p2 = proximal[0] > 0, proximal[1] > 0, proximal[2] > 0
     chained = ne > 1 and II[0, 8] >= 0 and II[1, 8] >= 0
+    accelerated = False
+    for i in range(ny):
+        if shown[i] >= 0 and ne > 0 and discrete == 0:
+            accelerated = True
     for g in range(segments.shape[0]):
         first, last = segments[g, 0], segments[g, 1]
         begin, end = segments[g, 2], segments[g, 3]  # the recording's samples: history of delayed inputs
@@ -204,6 +256,8 @@ def _loop(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, dis
             if ne > 2:
                 e2(1, t, 0.0, x, xs, us, ps, k, i2, q2)
             out(t, xh, us, ps, y)
+            if accelerated:
+                _accelerations(rhs, e0, e1, e2, ne, t, h, x, xsh, u, us, p, ps, II, Q, proximal, shown, gain, y)
             if ne > 0:
                 e0(3, t, Ts, x, xs, us, ps, y, i0, q0)
             if ne > 1:
@@ -234,6 +288,13 @@ def _loop(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, dis
                             _mobility(rhs, ts, x, u, p, m1, i1, h1, toth, us, xsh)
                         if p2:
                             _mobility(rhs, ts, x, u, p, m2, i2, h2, toth, us, xsh)
+                        if sliding:
+                            if p0:
+                                _turn(m0, i0[4], start[i0[4]])
+                            if p1:
+                                _turn(m1, i1[4], start[i1[4]])
+                            if p2:
+                                _turn(m2, i2[4], start[i2[4]])
                         if ne > 0:
                             e0(0, ts, hh, x, xs, u, p, k, i0, q0)
                         if chained:  # a law behind another one at an input follows what that one lets through
@@ -344,15 +405,15 @@ def _loop(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, dis
 
 @njit(
     i8(RHS_TYPE, OUT_TYPE, EFFECT_TYPE, EFFECT_TYPE, EFFECT_TYPE, i8, i8, f8[:, :, ::1], i8[:, ::1], f8[:, ::1],
-       f8[:, ::1], f8, i8, f8, i8, f8[:, ::1], i8[:, ::1], f8[:, :, ::1], i8[::1], i8[::1], _V, f8[:, ::1],
-       f8[:, :, ::1], f8, f8[:, ::1]),
+       f8[:, ::1], f8, i8, f8, i8, f8[:, ::1], i8[:, ::1], f8[:, :, ::1], i8[::1], i8[::1], _V, i8[::1], _V,
+       f8[:, ::1], f8[:, :, ::1], f8, f8[:, ::1]),
     cache=True, nogil=True, error_model="numpy",
 )
 def _variants(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, discrete, p, II, Q,
-              proximal, partner, ratio, X, Y, limit, work):
+              proximal, partner, ratio, shown, gain, X, Y, limit, work):
     """`_loop` for every variant."""
     failed = 0
     for k in range(p.shape[0]):
         failed += _loop(rhs, out, e0, e1, e2, ne, nx, X0[k], segments, U, delay[k], Ts, S, hold, discrete, p[k], II,
-                        Q[k], proximal, partner, ratio, X, Y[k], limit, work)
+                        Q[k], proximal, partner, ratio, shown, gain, X, Y[k], limit, work)
     return failed

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import itertools
 from dataclasses import replace
 
 import numpy as np
 
 from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.nullfit import Problem
-from pwaid.mismatch.structure import on_line
 from pwaid.mismatch.timing import timing_notes
 from pwaid.mismatch.units import combine
 
@@ -149,24 +147,9 @@ def _feedback(problem, closed_loop, known):
     return []
 
 
-def _accelerations(s):
-    """Outputs that are the acceleration of a speed: what laws add to it does not reach them."""
-    if s.plant.black_box is not None or not s.velocities():
-        return []
-    points = s.points(12)
-    rates, shown = (np.array([f(x, u) for x, u in points]) for f in (s.plant.derivative, s.plant.outputs))
-    notes = []
-    for v, k in itertools.product(s.velocities(), range(shown.shape[1])):
-        if s.output_state[k] < 0 and on_line(rates[:, v], shown[:, k]) is not None:
-            notes.append(f"{s.plant.output_names[k]} is the acceleration of {s.plant.state_names[v]}: forces that the "
-                         "simulator leaves out are looked for, but not added to this output; without it in the case "
-                         "they may be found")
-    return notes
-
-
 def _coverage(problem):
     s = problem.structure
-    notes = _accelerations(s)
+    notes = []
     for v in s.velocities():
         if s.low[v] >= 0 or s.high[v] <= 0:
             notes.append(f"{s.plant.state_names[v]} never changes sign: reversals, dry friction's asymmetry and "

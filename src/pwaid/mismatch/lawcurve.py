@@ -24,9 +24,7 @@ def law_over(problem: Problem, hypothesis: Hypothesis, variable: str, z: np.ndar
     nx, nu, _ = plant.sizes
     ii, values = np.array(located.place.ii), hypothesis.values()[0]
     q, p = np.concatenate([values, located.place.constants]), hypothesis.fit.model.parameters(hypothesis.fit.theta)
-    at, column, out = names.index(variable), np.zeros(nx), np.empty(len(z))
-    if ii[4] >= 0:
-        column[ii[4]] = 1.0  # friction then comes out as a force
+    at, out = names.index(variable), np.empty(len(z))
     kernel, mobility = located.effect.compiled(), problem.structure.mobility.get(int(ii[2]), 1.0)
     for k, value in enumerate(z):
         x, u, dx = np.zeros(nx), np.zeros(nu), np.zeros(nx)
@@ -35,6 +33,8 @@ def law_over(problem: Problem, hypothesis: Hypothesis, variable: str, z: np.ndar
         kernel(1, 0.0, 0.0, x, x, u, p, dx, ii, q)
         kernel(2, 0.0, 0.0, x, x, u, p, dx, ii, q)
         if located.effect.proximal:
+            column = np.zeros(nx)
+            column[ii[4]] = np.sign(x[ii[4]])  # friction then comes out as a force
             kernel(5, 0.0, 0.0, x, column, u, p, slid, ii, q)
         out[k] = (-1.0 if ii[1] == 2 else 1.0) * np.sum(u - before) + np.sum(dx) / mobility + np.sum(slid)
     return out if np.all(np.isfinite(out)) else None

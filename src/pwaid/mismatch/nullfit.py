@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from pwaid.errors import InputError
+from pwaid.mismatch.accelerometers import rates_shown
 from pwaid.mismatch.beginnings import first_states, usable_starts
 from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.fit import Fit, fit_model, fit_starts
@@ -237,8 +238,10 @@ def prepare(plant: Plant, train: Dataset, test: Dataset, input_units, output_uni
                                train.sample_time, length, free)
     if not np.all(np.isfinite(null.cost)):
         warnings.warn("the nominal simulation could not be fitted", stacklevel=2)
-    problem = Problem(plant, model.settings, train, test, coarse, sigma, floor, structure, ranges, nominal, null,
-                      null_coarse, nominal_test, null_test, notes, whole)
+    shown, gain = rates_shown(structure)
+    settings = replace(model.settings, shown=shown, gain=gain)
+    problem = Problem(plant, settings, train, test, coarse, sigma, floor, structure, ranges, nominal, null, null_coarse,
+                      nominal_test, null_test, notes, whole)
     if plant.rhs is None:
         return problem
     steady = steadied(problem) if samples >= longest else problem

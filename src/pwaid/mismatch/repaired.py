@@ -13,6 +13,7 @@ from collections.abc import Mapping
 import control
 
 from pwaid.mismatch import repaired_parts as parts
+from pwaid.mismatch.engine import BRIEF
 from pwaid.mismatch.hypotheses import Hypothesis
 from pwaid.mismatch.lawsource import FUNCTIONS, Law, law_functions
 from pwaid.mismatch.model import Model
@@ -156,11 +157,12 @@ def _simulator(model: Model, laws) -> str:
     laws = [laws[k] for k in model.order]
     dry = [law for law in laws if law.located.effect.proximal]
     delayed = [law for law in laws if law.located.effect.delays]
+    rates_shown = s.accelerations() if laws else []
     seen = _calls(laws, "seen", "t, {h}, state, seen, inputs, params", 8)
     fill = {
         "NX": len(plant.state_names), "DISCRETE": bool(plant.dt),
         "SEEN": seen.replace("{h}", "h"),
-        "SEEN_AT_SAMPLE": "        seen = state.copy()\n" + seen.replace("{h}", "0.0") if seen else "",
+        "SEEN_AT_SAMPLE": "        seen = state.copy()\n" + seen.replace("{h}", "0.0") if seen or rates_shown else "",
         "RATES": _calls(laws, "rates", "t, h, state, inputs, params, rates", 8),
         "SENSORS": _calls(laws, "sensor", "t, SAMPLE_TIME, state, inputs, params, outputs", 8),
         "MEMORY_CALLS": _memory_calls(laws, model.chained),
@@ -178,11 +180,17 @@ def _simulator(model: Model, laws) -> str:
     if delayed:
         fill["DELAYS"] = ", ".join(f"({int(law.located.place.ii[8])}, {law.name.upper()}['delay'])" for law in delayed)
         text += parts.DELAY
+    if rates_shown:
+        fill |= {"RATES_SHOWN": rates_shown, "BRIEF": BRIEF,
+                 "RATES_SEEN": _calls(laws, "rates", "t, h, state, inputs_seen, params_seen, rates", 8),
+                 "FRICTION_IN_RATES": parts.FRICTION_IN_RATES if dry else ""}
+        text += parts.ACCELERATIONS
     text += parts.UPDATE
     sensors_remember = any(re.search(r"state\[\d+\] \S?=", law.functions.get("sensor", "")) for law in laws)
     fill |= {"REMEMBER": parts.REMEMBER if delayed else "",
              "DELAYED_AT_SAMPLE": parts.DELAYED_AT_SAMPLE if delayed else "",
              "DELAYED_CALL": "delayed(now, held)" if delayed else "held",
+             "GIVEN": parts.GIVEN if rates_shown else "", "SHOW_RATES": parts.SHOW_RATES if rates_shown else "",
              "SENSOR_MEMORY": parts.SENSOR_MEMORY if sensors_remember else "",
              "STEPS": "1" if plant.dt else "SUBSTEPS"}
     return parts.filled(text, fill)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-__all__ = ["ARGUMENTS_BUILD", "BUILD", "DELAY", "DELAYED_AT_SAMPLE", "DISCRETE_FRICTION", "DISCRETE_STEP", "DRY_STEP",
-           "FRICTION", "LINEAR_BUILD", "PLANT", "REMEMBER", "RUNGE_KUTTA_STEP", "SENSOR_MEMORY", "SIMULATE", "UPDATE",
-           "filled", "rule"]
+__all__ = ["ACCELERATIONS", "ARGUMENTS_BUILD", "BUILD", "DELAY", "DELAYED_AT_SAMPLE", "DISCRETE_FRICTION",
+           "DISCRETE_STEP", "DRY_STEP", "FRICTION", "FRICTION_IN_RATES", "GIVEN", "LINEAR_BUILD", "PLANT", "REMEMBER",
+           "RUNGE_KUTTA_STEP", "SENSOR_MEMORY", "SHOW_RATES", "SIMULATE", "UPDATE", "filled", "rule"]
 
 
 def rule(title: str) -> str:
@@ -120,17 +120,16 @@ DRY_STEP = '''
     def smooth_step(t, h, state, inputs, params, slides):
         """A Runge-Kutta step: friction is a force against the motion while sliding, else it acts at the end."""
         columns = [mobility(t, state, inputs, params, acts_on) for _, _, _, acts_on in dry_friction]
+        along = [column * np.sign(column[speed]) * np.sign(state[speed])  # the motion the step begins with
+                 for (_, _, speed, _), column in zip(dry_friction, columns)]
         state = state.copy()
 «MEMORY_CALLS»
         before = state.copy()
 
         def total(t, state):
             rates = derivative(t, h, state, inputs, params)
-            for (level, values, speed, _), column in zip(dry_friction, columns):
-                v, gain = state[speed], column[speed]
-                if slides and v != 0.0 and gain != 0.0:
-                    size = level(t, h, state, state, inputs, params, **values)
-                    rates -= size * np.sign(v) * np.sign(gain) * column
+            for (level, values, _, _), column in zip(dry_friction, along if slides else []):
+                rates -= level(t, h, state, state, inputs, params, **values) * column
             return rates
 
         k1 = total(t, state)
@@ -170,6 +169,30 @@ DELAY = '''
         return seen
 '''
 
+ACCELERATIONS = '''
+    rates_shown = «RATES_SHOWN»  # output, the state whose rate it shows, output per rate
+
+    def show_rates(t, state, inputs, params, seen, inputs_seen, params_seen, outputs):
+        """Add to outputs that show the rate of a state what the laws add to it, friction at rest included."""
+        h, rates = SAMPLE_TIME / SUBSTEPS, np.zeros(state.size)
+        plain = nominal(t, state, inputs_seen, params_seen)
+        rates[:«NX»] = nominal(t, seen, inputs_seen, params_seen)
+«RATES_SEEN»
+        brief = «BRIEF» * h
+        moved = state + brief * rates
+«FRICTION_IN_RATES»
+        for k, i, gain in rates_shown:
+            outputs[k] += gain * ((moved[i] - state[i]) / brief - plain[i])
+'''
+
+FRICTION_IN_RATES = '''        for level, values, speed, acts_on in dry_friction:
+            size = level(t, brief, moved, state, inputs, params, **values)
+            pull_towards_rest(brief, moved, speed, size, mobility(t, state, inputs, params, acts_on))'''
+
+GIVEN = '''        given = inputs.copy(), dict(params)'''
+
+SHOW_RATES = '''        show_rates(t, state, *given, seen, inputs, params, outputs)'''
+
 REMEMBER = '''        remember(t, inputs)'''
 
 DELAYED_AT_SAMPLE = '''        inputs = delayed(t, inputs)'''
@@ -181,12 +204,14 @@ UPDATE = '''
         """Outputs at a sample."""
         inputs, params = inputs.copy(), dict(params)
 «DELAYED_AT_SAMPLE»
+«GIVEN»
 «SEEN_AT_SAMPLE»
         if nominal_output is None:
             outputs = state[:«NX»].copy()
         else:
-            params = {**(others or {}), **params}
-            outputs = np.array(nominal_output(t, state[:«NX»], inputs, params), dtype=float).ravel()
+            everything = {**(others or {}), **params}
+            outputs = np.array(nominal_output(t, state[:«NX»], inputs, everything), dtype=float).ravel()
+«SHOW_RATES»
 «SENSORS»
         return outputs
 

@@ -15,7 +15,7 @@ from numba import boolean, njit, types
 from numba import float64 as f8
 from numba import int64 as i8
 
-from pwaid.mismatch.engine import _input_at
+from pwaid.mismatch.engine import BRIEF, _input_at
 
 __all__ = ["Variant", "simulate_columns"]
 
@@ -59,6 +59,7 @@ class _Columns:
         self.model, self.plant, self.nx, self.P, self.Q = model, model.settings.plant, model.nx, P, Q
         self.kernels = [_by_columns(model.kernels[e]) for e in range(len(model.located))]
         self.dry = [e for e in range(len(model.located)) if model.proximal[e]]
+        self.shown = model.settings.accelerations()
 
     def part(self, chosen) -> _Columns:
         return self if np.all(chosen) else _Columns(self.model, self.P[chosen], self.Q[:, chosen].copy())
@@ -79,21 +80,34 @@ class _Columns:
             self.effects(0, t, h, X, XS, US, self.P, DX, only=(e,))
             self.effects(1, t, h, X, XS, US, PS, DX, only=(e,))
 
-    def rates(self, t, h, X, U, mobility, sliding):
+    def rates(self, t, h, X, U, along, sliding):
         XS, US, PS, DX = X.copy(), U.copy(), self.P.copy(), np.zeros_like(X)
         self.effects(1, t, h, X, XS, US, PS, DX)
         DX[:, :self.nx] = self.plant.derivatives(t, XS[:, :self.nx], US, PS)
         self.effects(2, t, h, X, XS, US, PS, DX)
         for e in self.dry:
-            self.effects(5, t, h, X, mobility[e], US, PS, DX, sliding, (e,))
+            self.effects(5, t, h, X, along[e], US, PS, DX, sliding, (e,))
         return DX
 
-    def outputs(self, t, Ts, X, U):
+    def outputs(self, t, h, Ts, X, U):
         XS, US, PS = X.copy(), U.copy(), self.P.copy()
         self.effects(1, t, 0.0, X, XS, US, PS, np.zeros_like(X))
         Y = self.plant.many_outputs(t, XS[:, :self.nx], US, PS)
+        if self.shown and self.kernels:
+            self._accelerate(t, h, X, XS, U, US, PS, Y)
         self.effects(3, t, Ts, X, XS, US, PS, Y)
         return Y
+
+    def _accelerate(self, t, h, X, XS, U, US, PS, Y):
+        """Add to outputs that show the rate of a state what the effects add to that rate (`engine._accelerations`)."""
+        plain, rates, brief = self.plant.derivatives(t, X[:, :self.nx], US, PS), np.zeros_like(X), BRIEF * h
+        rates[:, :self.nx] = self.plant.derivatives(t, XS[:, :self.nx], US, PS)
+        self.effects(2, t, h, X, XS, US, PS, rates)
+        W = X + brief * rates
+        for e in self.dry:
+            self.effects(4, t, brief, W, X, U, self.P, self.mobility(t, X, U, self.model.II[e]), only=(e,))
+        for k, v, gain in self.shown:
+            Y[:, k] += gain * ((W[:, v] - X[:, v]) / brief - plain[:, v])
 
     def mobility(self, t, X, U, ii):
         """Acceleration per unit force at the place ii describes, (M, nt)."""
@@ -111,15 +125,17 @@ class _Columns:
         """Advance copies of X by h: memory, one Runge-Kutta step, dry friction inside it (sliding) or after it."""
         model, X = self.model, X.copy()
         mobility = {e: self.mobility(t, X, U, model.II[e]) for e in self.dry}
+        along = {e: np.where(((M[:, model.II[e, 4]] > 0) != (X[:, model.II[e, 4]] > 0))[:, None], -M, M)
+                 for e, M in mobility.items()}  # the motion that the substep begins with
         self.remember(t, h, X, U)
         before = X.copy()
-        k1 = self.rates(t, h, X, U, mobility, sliding)
+        k1 = self.rates(t, h, X, U, along, sliding)
         if self.plant.dt:
             X = np.hstack([k1[:, :self.nx], X[:, self.nx:] + Ts * k1[:, self.nx:]])
         else:
-            k2 = self.rates(t + h / 2, h, X + h / 2 * k1, U, mobility, sliding)
-            k3 = self.rates(t + h / 2, h, X + h / 2 * k2, U, mobility, sliding)
-            k4 = self.rates(t + h, h, X + h * k3, U, mobility, sliding)
+            k2 = self.rates(t + h / 2, h, X + h / 2 * k1, U, along, sliding)
+            k3 = self.rates(t + h / 2, h, X + h / 2 * k2, U, along, sliding)
+            k4 = self.rates(t + h, h, X + h * k3, U, along, sliding)
             X = X + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
         if self.dry and not np.all(sliding):
             free = X.copy()
@@ -200,7 +216,7 @@ def simulate_columns(model, variants, segments, U, Ts: float, limit: float):
             at = which[live], seg[:, 0] + j
             X[at] = x
             _inputs(U, seg, j, 0, S, d, Ts, 0.0, u)
-            Y[at] = columns.outputs(t, Ts, x, u)
+            Y[at] = columns.outputs(t, Ts / S, Ts, x, u)
             for s in range(S):
                 _inputs(U, seg, j, s, S, d, Ts, hold, u)
                 x = columns.advance(t + s * Ts / S, Ts / S, x, u, Ts)

@@ -58,19 +58,16 @@ def push(phase, force, ii, u, p, dx):
 def slide(phase, level, ii, h, x, xs, dx):
     """Dry friction of the given level on the velocity x[ii[4]].
 
-    Phase 5, sliding: a force of fixed size against the motion, added to dx; xs holds the mobility column.
+    Phase 5, sliding: a force against the motion that the substep began with, added to dx; xs holds the mobility column
+    turned that way.
     Phase 4, near rest: a proximal step on the velocity, which sticks exactly; dx holds the mobility column.
     """
     i = ii[4]
-    v = x[i]
     if phase == 5:
-        g = xs[i]
-        if g != 0.0 and v != 0.0:
-            s = level if (v > 0.0) == (g > 0.0) else -level
-            for k in range(xs.size):
-                dx[k] -= s * xs[k]
+        for k in range(xs.size if xs[i] != 0.0 else 0):
+            dx[k] -= level * xs[k]
         return
-    g = dx[i]
+    v, g = x[i], dx[i]
     if g == 0.0:
         return
     reach = h * abs(g) * max(level, 0.0)
@@ -155,7 +152,7 @@ def _factors(size: str):
         for token in text.split("*"):
             if token and token != "1":
                 name, _, power = token.partition("^")
-                yield name, sign * int(power or 1)
+                yield name, sign * (float(power) if "." in power else int(power or 1))
 
 
 def scale_of(size: str, place: Place) -> float:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from math import sqrt
 
 from pwaid.mismatch.effects.base import Effect, Quantity
+from pwaid.mismatch.outlets import outlets
 
 __all__ = ["EFFECTS"]
 
@@ -20,6 +21,19 @@ def two_root_outflows(phase, t, h, x, xs, u, p, dx, ii, q):
     if phase == 1:
         xs[ii[4]] = sqrt(q[0] * max(x[ii[4]], 0.0))
         xs[ii[6]] = sqrt(q[1] * max(x[ii[6]], 0.0))
+
+
+def outlet(phase, t, h, x, xs, u, p, dx, ii, q):
+    """The flow k*d through one outlet, d a level or the difference of two, becomes k*sqrt(reference*|d|)*sign(d)."""
+    if phase == 1:
+        d = x[ii[4]] - (x[ii[6]] if ii[6] >= 0 else 0.0)
+        p[ii[3]] *= sqrt(q[0] / max(abs(d), 1e-6 * q[0])) if d > 0.0 or ii[6] >= 0 else 0.0
+
+
+def orifice(phase, t, h, x, xs, u, p, dx, ii, q):
+    """dx/dt = ... - coefficient*sqrt(x)."""
+    if phase == 2:
+        dx[ii[2]] -= q[0] * sqrt(max(x[ii[4]], 0.0))
 
 
 def head_offset(phase, t, h, x, xs, u, p, dx, ii, q):
@@ -43,13 +57,9 @@ def two_head_offsets(phase, t, h, x, xs, u, p, dx, ii, q):
 
 
 def leak(phase, t, h, x, xs, u, p, dx, ii, q):
-    """dx/dt = ... - coefficient*x (variant 0) or coefficient*sqrt(x) (variant 1)."""
+    """dx/dt = ... - coefficient*x."""
     if phase == 2:
-        s = x[ii[4]]
-        if ii[10] == 0:
-            dx[ii[2]] -= q[0] * s
-        else:
-            dx[ii[2]] -= q[0] * (sqrt(s) if s > 0.0 else 0.0)
+        dx[ii[2]] -= q[0] * x[ii[4]]
 
 
 def overflow(phase, t, h, x, xs, u, p, dx, ii, q):
@@ -100,6 +110,13 @@ EFFECTS = (
            (Quantity("reference", "position", 0.05, 5.0, (0.3, 1.0)),
             Quantity("second_reference", "position", 0.05, 5.0, (0.3, 1.0))), two_root_outflows,
            lambda s: s.cascades("fluid"), ("head_offset", "leakage"), "drain over the full range of levels"),
+    Effect("square_root_outflow", "fluid", "flow through one outlet = k*sqrt(reference*d)*sign(d) instead of k*d",
+           (Quantity("reference", "position", 0.05, 5.0, (0.3, 1.0)),), outlet, outlets,
+           ("head_offset", "leakage"), "drain over the full range of levels"),
+    Effect("square_root_outflow", "fluid", "dh/dt = ... - coefficient*sqrt(h)",
+           (Quantity("coefficient", "position^0.5/time", 1e-4, 10.0, (0.03, 0.15, 0.5)),), orifice,
+           lambda s: s.stores("fluid"), ("head_offset", "leakage"), "drain over the full range of levels",
+           dissipative=True),
     Effect("head_offset", "fluid", "outflow sees h + offset",
            (Quantity("offset", "position", -0.5, 2.0, (0.05, 0.25), log=False),), head_offset,
            lambda s: s.stores("fluid"), ("square_root_outflow", "leakage", "sensor_offset"),
