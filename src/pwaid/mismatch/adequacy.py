@@ -8,6 +8,7 @@ from pwaid.mismatch.hypotheses import Hypothesis
 from pwaid.mismatch.leftover import Leftover, leftover
 from pwaid.mismatch.noise import fit_noise
 from pwaid.mismatch.nullfit import Problem
+from pwaid.mismatch.pieces import holds_in_pieces
 from pwaid.mismatch.predictability import predictability
 from pwaid.mismatch.thresholds import Thresholds
 from pwaid.mismatch.vetoes import at_bound, outside
@@ -58,7 +59,8 @@ def stretched(problem: Problem, h: Hypothesis, t: Thresholds) -> str:
         return f"{outside(h, t.reach)[0]} had to leave its tolerance and the error is not at the floor"
     null = over_floor(problem, problem.null_test.Y, t)
     trained = np.mean((problem.train.Y - h.fit.Y) ** 2, axis=0) / floor_or_trifle(problem, t) ** 2
-    if np.all(trained < t.left) and np.any((left > t.outgrown * np.maximum(trained, 1.0)) & (left > t.residue * null)):
+    outgrown = np.any((left > t.outgrown * np.maximum(trained, 1.0)) & (left > t.residue * null))
+    if np.all(trained < t.left) and outgrown and not holds_in_pieces(problem, h, t.left, t.share):
         return f"it fits the training recordings to the floor and leaves {np.max(left / trained):.0f} times as much " \
                "on held-out ones"
     return ""

@@ -24,6 +24,7 @@ from pwaid.mismatch.screen import Screened, run_jobs, screen
 
 __all__ = ["fit_inner", "fit_joint", "fit_members", "fit_pairs", "fit_reversed", "fit_swaps"]
 
+TIED = 1.1  # times the best training error: a single effect that may as well be the first of a pair
 STRANDED = 3.0  # times the training error of the best pair
 
 
@@ -49,7 +50,7 @@ def fit_pairs(problem: Problem, singles: Sequence[Hypothesis], sound: Sequence[H
     fit the best seconds; then the best pair with other laws of the same ids and with the laws its laws contain."""
     pairs: list[Hypothesis] = []
     seen: set[frozenset] = set()
-    for h in _distinct([*_distinct(singles, beam), *_distinct(sound, beam)], 2 * beam):
+    for h in _distinct([*_leading(singles, beam), *_leading(sound, beam)], 2 * beam):
         others = [c for c in located if not _same_knob(c, h.located[0])]
         again = screen(problem, h.coarse, others, jobs)
         chosen = []
@@ -195,6 +196,12 @@ def _same_knob(a: Located, b: Located) -> bool:
         return False
     return (a.effect.id == b.effect.id or b.effect.id in a.effect.contains
             or a.effect.id in b.effect.contains)
+
+
+def _leading(hypotheses: Sequence[Hypothesis], count: int) -> list[Hypothesis]:
+    """The best `count` of each id and place, and those as good as the best one but for TIED, at most twice as many."""
+    ranked = _distinct(hypotheses, 2 * count)
+    return [h for k, h in enumerate(ranked) if k < count or h.train_error < TIED * ranked[0].train_error]
 
 
 def _distinct(hypotheses: Sequence[Hypothesis], count: int) -> list[Hypothesis]:

@@ -21,14 +21,12 @@ from pwaid.mismatch.hypotheses import (
 )
 from pwaid.mismatch.model import Located, Model
 from pwaid.mismatch.nullfit import Problem
+from pwaid.mismatch.pieces import PARTING, brief_samples
 from pwaid.mismatch.screen import Screened, overlooked, run_jobs, screen
-from pwaid.mismatch.sensitive import SHORTEST
 
 __all__ = ["fit_by_segments", "fit_contained", "fit_lookalikes"]
 
-PARTING = ("end_stop", "backlash", "position_ripple")  # laws that part motions; a brim joins them
 FIRST, PROMISING = 1200, 0.5  # samples on which starts are tried; share of the null's error there worth going on from
-BRIEF = 2.5  # time constants of a segment over which no impact parts two motions
 
 
 def fit_contained(problem: Problem, singles: Sequence[Hypothesis], located: Sequence[Located], jobs: int = 1,
@@ -71,8 +69,7 @@ def fit_by_segments(problem: Problem, singles: Sequence[Hypothesis], located: Se
     if not any(c.effect.id in PARTING for c in located):
         return list(singles)
     null = problem.null_coarse
-    length = max(SHORTEST, int(BRIEF * problem.structure.time_scale / problem.train.sample_time))
-    data = problem.coarse.cut(length)
+    data = problem.coarse.cut(brief_samples(problem))
     near = fit_starts(null.model, data, problem.sigma, null.theta, problem.measured(data), problem.ranges)
     near = fit_model(null.model, data, problem.sigma, null.theta, near.X0, problem.ranges, 10)
     brief = replace(problem, coarse=data, null_coarse=near, brief=True)

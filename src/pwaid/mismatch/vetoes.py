@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pwaid.mismatch.floor import white_level
-from pwaid.mismatch.hypotheses import Hypothesis, without
+from pwaid.mismatch.hypotheses import Hypothesis, floor_square, mean_square, without
 from pwaid.mismatch.nullfit import Problem
 
 __all__ = ["at_bound", "outside", "veto"]
@@ -14,7 +14,8 @@ __all__ = ["at_bound", "outside", "veto"]
 _LOOSE = ("stiffness", "contact_frequency", "damping", "phase", "share", "ambient", "dither")
 
 # A stop ends a motion. What gives way by this share of half the travel, this share of the time, is a spring.
-_YIELDING, _PRESSED = 1 / 3, 0.1
+# Unless no more than this share of the error is left: a stop of rubber yields, and no spring does what it does.
+_YIELDING, _PRESSED, _REST = 1 / 3, 0.1, 0.01
 
 # A spring whose force varies by less than this share of its mean, at a position that nothing measures, is a load.
 _SPRINGS, _CONSTANT = {"linear_stiffness": 1, "quadratic_stiffness": 2, "cubic_stiffness": 3}, 0.1
@@ -70,7 +71,7 @@ def veto(problem: Problem, h: Hypothesis) -> str:
             return "the recording goes beyond the limit that is said to clip it"
         if e.effect.id == "end_stop" and abs(z[1]) >= 0.9999:
             return "the stop lies outside the travelled range"
-        if e.effect.id == "end_stop" and _yields(h, e, values[1]):
+        if e.effect.id == "end_stop" and _yields(h, e, values[1]) and not _removes_all(problem, h):
             return "the recording goes far beyond the stop: it yields like a spring"
         if e.effect.id in ("sensor_saturation", "actuator_saturation", "overflow"):
             top = z[0] if not first.log else np.exp(z[0])
@@ -99,6 +100,14 @@ def _yields(h: Hypothesis, located, position: float) -> bool:
     s = np.concatenate([h.fit.X[:, k], h.test.X[:, k]])
     depth = _past(s, position, side)
     return bool(np.mean(depth > 0) > _PRESSED and depth.max() > _YIELDING * np.ptp(s) / 2)
+
+
+def _removes_all(problem: Problem, h: Hypothesis) -> bool:
+    """Whether no more than a hundredth of the null's error above the floor is left, in training and held out: a stop of
+    rubber may be soft, a spring is not imitated so well."""
+    floor = floor_square(problem)
+    return all(error - floor < _REST * (mean_square(problem, null, data) - floor) for error, null, data in (
+        (h.train_error, problem.null, problem.train), (h.test_error, problem.null_test, problem.test)))
 
 
 def _beyond(problem: Problem, h: Hypothesis, located, limit: float) -> bool:
