@@ -77,6 +77,20 @@ def test_friction_above_the_force_sticks_exactly():
     assert np.all(Y == 0.0)
 
 
+@pytest.mark.parametrize("rhs", [PLANT.rhs, None])
+def test_a_body_that_friction_stops_anywhere_in_a_step_stays(rhs):
+    """It comes to rest after any share of a substep; no stage of a step may turn friction round early."""
+    located = next(e for e in locate_effects(CATALOGUE, structure()) if e.effect.id == "coulomb_friction")
+    theta = np.concatenate([np.zeros(3), located.from_physical([0.35])])
+    data = replace(DATA, U=np.full((3, 1), 0.26), Y=np.zeros((3, 1)), segments=np.array([[0, 3, 0, 3]]))
+    plant = replace(PLANT, rhs=rhs, out=PLANT.out if rhs else None)
+    for substeps in (1, 2):
+        model = Model(replace(settings(), plant=plant), (located,), substeps)
+        for speed in np.linspace(1e-4, 1.4e-3, 27):  # at rest within a sample
+            X = model.simulate(theta, np.array([[0.0, speed]]), data)[1]
+            assert np.all(X[1:, 1] == 0.0), (substeps, speed)
+
+
 def test_every_effect_vanishes_towards_its_neutral_value():
     """A law a millionth of its size changes the outputs by next to nothing: injection adds nothing of its own."""
     base = Model(settings(), ()).simulate(np.zeros(3), np.zeros((1, 2)), DATA)[0]
