@@ -26,7 +26,7 @@ from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.pairs import fit_inner, fit_joint, fit_members, fit_pairs, fit_reversed, fit_swaps
 from pwaid.mismatch.scout import scouted
 from pwaid.mismatch.screen import Screened, locate_effects, overlooked, run_jobs, screen, shortlist
-from pwaid.mismatch.secondlooks import fit_by_segments, fit_contained, fit_lookalikes
+from pwaid.mismatch.secondlooks import fit_by_segments, fit_contained, fit_lookalikes, fit_partners_by_segments
 from pwaid.mismatch.thresholds import Thresholds
 from pwaid.mismatch.vetoes import veto
 
@@ -153,6 +153,10 @@ def _pairs(problem, null, singles, located, jobs):
     if pairs and _short_of_floor(problem, null, pairs):
         pairs += fit_swaps(problem, _sound(problem, pairs), located, jobs)
     pairs = _sorted(pairs)
+    if problem.plant.rhs is not None and _short_of_floor(problem, null, pairs or singles):
+        best = _sound(problem, singles)[0]
+        others = [c for c in located if c.key != best.located[0].key]
+        pairs = _sorted([*pairs, *fit_partners_by_segments(problem, best, others, jobs)])
     pairs = _sorted([*pairs, *fit_reversed(problem, pairs, jobs)])
     singles = fit_members(problem, pairs, singles, jobs)
     return singles, _sorted([*pairs, *fit_inner(problem, _sound(problem, pairs), located, jobs)])

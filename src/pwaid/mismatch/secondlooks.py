@@ -24,7 +24,7 @@ from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.pieces import PARTING, brief_samples
 from pwaid.mismatch.screen import Screened, overlooked, run_jobs, screen
 
-__all__ = ["fit_by_segments", "fit_contained", "fit_lookalikes"]
+__all__ = ["fit_by_segments", "fit_contained", "fit_lookalikes", "fit_partners_by_segments"]
 
 FIRST, PROMISING = 1200, 0.5  # samples on which starts are tried; share of the null's error there worth going on from
 
@@ -66,32 +66,48 @@ def fit_by_segments(problem: Problem, singles: Sequence[Hypothesis], located: Se
     They part motions that start side by side, so over a whole recording the error is rugged and signatures are those
     of another motion; over a few samples they are not.
     """
+    fitted = [h.located[0].key for h in singles if h.ids[0] in PARTING]
+    return _best_of_each([*singles, *_from_pieces(problem, problem.null_coarse, located, fitted, jobs, count)])
+
+
+def fit_partners_by_segments(problem: Problem, single: Hypothesis, located: Sequence[Located], jobs: int = 1,
+                             count: int = 2) -> list[Hypothesis]:
+    """Pairs of a single effect with the stops, gaps and ripples that short segments show on top of it."""
+    if single.ids[0] in PARTING:
+        return []
+    return _from_pieces(problem, single.coarse, located, (), jobs, count)
+
+
+def _from_pieces(problem: Problem, base: Fit, located: Sequence[Located], fitted: Sequence[tuple], jobs: int,
+                 count: int) -> list[Hypothesis]:
+    """Laws with impacts on top of `base`, grown from short segments: at most `count` of those that were `fitted` and
+    those among the best there."""
     if not any(c.effect.id in PARTING for c in located):
-        return list(singles)
-    null = problem.null_coarse
+        return []
     data = problem.coarse.cut(brief_samples(problem))
-    near = fit_starts(null.model, data, problem.sigma, null.theta, problem.measured(data), problem.ranges)
-    near = fit_model(null.model, data, problem.sigma, null.theta, near.X0, problem.ranges, 10)
+    near = fit_starts(base.model, data, problem.sigma, base.theta, problem.measured(data), problem.ranges)
+    near = fit_model(base.model, data, problem.sigma, base.theta, near.X0, problem.ranges, 10)
     brief = replace(problem, coarse=data, null_coarse=near, brief=True)
     ranked = screen(brief, near, located, jobs)
-    fitted = [h.located[0].key for h in singles if h.ids[0] in PARTING]
     shown = overlooked(ranked, ())[:count]
     asked = [s for s in ranked if s.starts and s.located.effect.id in PARTING
              and (s in shown or s.located.key in fitted)][:count]
     energy = np.sum(((data.Y - near.Y) / problem.sigma) ** 2, axis=1)
     part, index = data.windows(_telling(data, energy))
     worth = PROMISING * np.sum(energy[index])
-    grown = run_jobs(lambda s: _grown(problem, data, part, worth, s), asked, jobs)
-    return _best_of_each([*singles, *(h for h in grown if h is not None)])
+    grown = run_jobs(lambda s: _grown(problem, base, data, part, worth, s), asked, jobs)
+    return [h for h in grown if h is not None]
 
 
-def _grown(problem: Problem, data: Dataset, part: Dataset, worth: float, candidate: Screened) -> Hypothesis | None:
+def _grown(problem: Problem, base: Fit, data: Dataset, part: Dataset, worth: float,
+           candidate: Screened) -> Hypothesis | None:
     """The hypothesis that a fit on short segments, from the best of the screen's starts, grows into; None where it
     costs more than `worth` on `part`, the segments that tell most."""
-    model = Model(problem.settings, (candidate.located,))
+    model = Model(problem.settings, (*base.model.located, candidate.located))
     X0, trials = problem.measured(part), []
-    for z, nominal in itertools.product(candidate.starts, (problem.null_coarse.theta, 0 * problem.null_coarse.theta)):
-        theta = np.concatenate([nominal, z])
+    before = base.theta, np.concatenate([0 * base.theta[:model.np], base.theta[model.np:]])  # nominal ones unbent
+    for z, known in itertools.product(candidate.starts, before):
+        theta = np.concatenate([known, z])
         near = fit_starts(model, part, problem.sigma, theta, X0, problem.ranges)
         trials.append(fit_model(model, part, problem.sigma, theta, near.X0, problem.ranges, 8, 1e-3))
     best = min(trials, key=lambda f: f.cost)
