@@ -73,7 +73,7 @@ def fit_swaps(problem: Problem, pairs: Sequence[Hypothesis], located: Sequence[L
     parameters leave is screened again. A wrong partner bends a right law less than the null bends either. Pairs that
     leave far more than the best one may have been stranded, so they are tried again from there."""
     best, found = pairs[0], []
-    seen = {frozenset(e.key for e in h.located) for h in pairs if h.train_error < STRANDED * best.train_error}
+    seen = _settled(pairs)
     for _ in range(rounds):
         new = [h for e in best.located for h in _partners(problem, best, e, located, seen, jobs, width)]
         found += new
@@ -82,6 +82,11 @@ def fit_swaps(problem: Problem, pairs: Sequence[Hypothesis], located: Sequence[L
             break
         best = better
     return found
+
+
+def _settled(pairs: Sequence[Hypothesis]) -> set[frozenset]:
+    """Keys of the pairs, best first, whose fits were not stranded far above the best one's."""
+    return {frozenset(e.key for e in h.located) for h in pairs if h.train_error < STRANDED * pairs[0].train_error}
 
 
 def _partners(problem, pair, kept, located, seen, jobs, width):
@@ -136,7 +141,7 @@ def fit_members(problem: Problem, pairs: Sequence[Hypothesis], singles: Sequence
 def fit_inner(problem: Problem, pairs: Sequence[Hypothesis], located: Sequence[Located], jobs: int = 1,
               count: int = 3) -> list[Hypothesis]:
     """The best pairs with either law replaced by those it contains, on top of the other law as the pair left it."""
-    seen, found = {frozenset(e.key for e in h.located) for h in pairs}, []
+    seen, found = _settled(pairs), []
     for pair in _distinct(pairs, count):
         for outer, kept in (pair.located, pair.located[::-1]):
             inner = [c for c in inner_laws(outer, located) if frozenset((c.key, kept.key)) not in seen]
