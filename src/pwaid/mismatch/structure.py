@@ -103,7 +103,7 @@ class Structure:
     def velocities(self) -> list[int]:
         return [i for i, k in enumerate(self.kinds) if k == "velocity"]
 
-    def _place(self, kind, signal, variables, ii, v=-1, x=-1, k=-1, j=-1, **more) -> Place:
+    def place(self, kind, signal, variables, ii, v=-1, x=-1, k=-1, j=-1, **more) -> Place:
         scales = {"time": self.time_scale, "rate": 1 / self.time_scale, "length": self.length, "kelvin": 1.0}
         units = {"time": {"s": 1}, "rate": {"s": -1}, "length": {"s": 1}, "kelvin": {"K": 1}}
         if v >= 0:
@@ -121,7 +121,7 @@ class Structure:
         return Place(kind, signal, tuple(variables), tuple(ii), scales | more.pop("scales", {}),
                      units | more.pop("units", {}), **more)
 
-    def _force_ii(self, v: int) -> list[int]:
+    def force_ii(self, v: int) -> list[int]:
         mode, target, inertia = self.entry[v]
         ii = [0, mode, target, inertia, v, self.position_of(v), -1, -1, -1, -1, 0, 0]
         return ii
@@ -131,7 +131,7 @@ class Structure:
         """Every speed a force can act on."""
         places = []
         for v in self.velocities():
-            ii, x = self._force_ii(v), self.position_of(v)
+            ii, x = self.force_ii(v), self.position_of(v)
             if x < 0 and with_position:
                 x = v  # the stroke is unknown; scale by speed times the time scale
             names = [self.plant.state_names[v]]
@@ -146,7 +146,7 @@ class Structure:
                 ii[8] = self._main_input(v)
                 names.append(self.plant.input_names[ii[8]])
                 more = {"j": ii[8]}
-            places.append(self._place("state", self.plant.state_names[v], names, ii, v=v, x=x, **more))
+            places.append(self.place("state", self.plant.state_names[v], names, ii, v=v, x=x, **more))
         return places
 
     def _main_input(self, v: int) -> int:
@@ -161,12 +161,12 @@ class Structure:
             if x < 0:
                 continue
             for side in ((0, 1, -1) if sides else (0,)):
-                ii = self._force_ii(v)
+                ii = self.force_ii(v)
                 ii[10] = side
                 span = {0: (0.0, self.reach(x)), 1: (self.low[x], self.high[x] - self.low[x]),
                         -1: (self.high[x], self.low[x] - self.high[x])}[side]
                 name = self.plant.state_names[x]
-                places.append(self._place("state", self.plant.state_names[v], [name], ii, v=v, x=x,
+                places.append(self.place("state", self.plant.state_names[v], [name], ii, v=v, x=x,
                                           levels={"position": span},
                                           note=("both sides", "upper", "lower")[side]
                                           if sides else ""))
@@ -189,123 +189,24 @@ class Structure:
         return Place(place.kind, place.signal, place.variables, place.ii, place.scales, place.units,
                      tuple(constants), place.levels, place.note)
 
-    def shafts(self) -> list[Place]:
-        """Pairs of positions joined by a stiff spring: one depends on the other's difference only."""
-        places = []
-        vs = [v for v in self.velocities() if self.position_of(v) >= 0]
-        for a in vs:
-            for b in vs:
-                if a == b:
-                    continue
-                xa, xb = self.position_of(a), self.position_of(b)
-                gear = self._shaft_ratio(a, b, xa, xb)
-                if gear is None or (a > b and self._shaft_ratio(b, a, xb, xa) is not None):
-                    continue
-                ii = self._force_ii(a)
-                ii[5], ii[9], ii[6] = xa, xb, b
-                twist = max(abs(self.twist(xa, xb, gear)), 1e-12)
-                places.append(self._place("state", f"{self.plant.state_names[xa]}-{self.plant.state_names[xb]}",
-                                          [self.plant.state_names[xa], self.plant.state_names[xb]], ii, v=a,
-                                          x=xa,
-                                          scales={"position": twist},
-                                          constants=(gear, float(self.ratio[xb]), float(self.ratio[xa]),
-                                                     *self._damped(a, b, self.ratio[xa] / gear, -self.ratio[xb]))))
-        return places
-
-    def _damped(self, a: int, b: int, weight_a: float, weight_b: float) -> tuple[float, float]:
-        """Accelerations of two speeds per twist speed, weight_a * v_a + weight_b * v_b, by damping in their shaft."""
-        point = self.points(1)[0]
-        return self._slope(a, b, *point) / weight_b, self._slope(b, a, *point) / weight_a
-
-    def twists(self) -> list[Place]:
-        """States that are the twist of a shaft between two speeds, and drive one of them."""
-        places = []
-        for z in range(len(self.kinds)):
-            pair = self._twisted_by(z)
-            if pair is None or not any(abs(self._slope(v, z, *self.points(1)[0])) > 0 for v in pair[0]):
-                continue
-            (a, b), weights = pair
-            ii = self._force_ii(a)
-            ii[4], ii[5], ii[6] = a, z, b
-            unit = {**self.state_units[a], "s": self.state_units[a].get("s", 0) + 1}
-            places.append(self._place("state", self.plant.state_names[z], [self.plant.state_names[z]], ii, v=a,
-                                      scales={"position": self.reach(z)},
-                                      constants=(*weights, *self._damped(a, b, *weights)),
-                                      units={"position": {s: n for s, n in unit.items() if n}}))
-        return places
-
-    def _twisted_by(self, z: int) -> tuple[tuple[int, int], tuple[float, float]] | None:
-        """The two speeds, and their weights, of which the rate of this state is the difference; None if it is none."""
-        vs = self.velocities()
-        if self.plant.dt or self.kinds[z] in ("velocity", "position") or len(vs) < 2:
-            return None
-        points = self.points(4 + len(vs))
-        rates = np.array([self.plant.derivative(x, u)[z] for x, u in points])
-        speeds = np.array([x[vs] for x, _ in points])
-        found = two_terms(speeds, rates)
-        if found is None or np.prod(found[1]) >= 0:
-            return None
-        (a, b), weights = found
-        return (vs[a], vs[b]), (float(weights[0]), float(weights[1]))
-
     def points(self, count: int) -> list[tuple[np.ndarray, np.ndarray]]:
         """States and inputs within the ranges met."""
         rng = np.random.default_rng(1)
         return [(self.low + (self.high - self.low) * rng.uniform(size=len(self.kinds)),
                  self.input_rms * rng.normal(size=len(self.input_rms))) for _ in range(count)]
 
-    def twist(self, xa: int, xb: int, gear: float) -> float:
-        return min(self.reach(xa) / abs(gear), self.reach(xb))
-
-    def _shaft_ratio(self, a, b, xa, xb):
-        ratios = []
-        for x, u in self.points(6):
-            ja = self._slope(a, xa, x, u), self._slope(a, xb, x, u)
-            jb = self._slope(b, xa, x, u), self._slope(b, xb, x, u)
-            if not (abs(ja[1]) > 0 and abs(jb[0]) > 0 and abs(jb[1]) > 0):
-                return None
-            ratios.append(-jb[1] / jb[0])
-        ratios = np.array(ratios)
-        if np.ptp(ratios) > 1e-3 * abs(ratios.mean()) or ratios.mean() <= 0:
-            return None
-        return float(ratios.mean())
-
-    def _slope(self, i, j, x, u):
+    def slope(self, i, j, x, u):
         d = max(self.reach(j), 1e-9) * 1e-4
         up, dn = x.copy(), x.copy()
         up[j] += d
         dn[j] -= d
         return (self.plant.derivative(up, u)[i] - self.plant.derivative(dn, u)[i]) / (2 * d)
 
-    def single_masses(self) -> list[Place]:
-        """A speed whose inertia may hide a load behind a shaft, measured on either side."""
-        places = []
-        if self.shafts():
-            return places
-        for v in self.velocities():
-            x = self.position_of(v)
-            if x < 0:
-                continue
-            ii = self._force_ii(v)
-            # a shaft that turns on and on has gaps of the size it moves in a time constant, not of its whole travel
-            near = {"position": min(self.reach(x), self.reach(v) * self.time_scale)}
-            places.append(self._place("state", self.plant.state_names[v], [self.plant.state_names[x]], ii,
-                                      v=v, x=x, constants=(1.0,), scales=near, note="motor side measured"))
-            for k, state in enumerate(self.output_state):
-                if state in (x, v):
-                    jj = list(ii)
-                    jj[7], jj[10], jj[11] = k, 1, int(state == v)
-                    places.append(self._place("state", self.plant.state_names[v],
-                                              [self.plant.state_names[x]], jj, v=v, x=x,
-                                              constants=(self.shown.gain[k],), scales=near,
-                                              note="load side measured"))
-        return places
-
     def inertias(self) -> list[Place]:
         places = []
         for v in self.velocities():
-            ii = self._force_ii(v)
-            places.append(self._place("state", self.plant.state_names[v],
+            ii = self.force_ii(v)
+            places.append(self.place("state", self.plant.state_names[v],
                                       [f"d{self.plant.state_names[v]}/dt"], ii,
                                       v=v, constants=(self.mobility.get(v, 1.0),)))
         return places
@@ -327,12 +228,12 @@ class Structure:
                 if a == v and b == v:
                     continue
                 for variant, x, factor in trigs:
-                    ii = self._force_ii(v)
+                    ii = self.force_ii(v)
                     ii[4], ii[6], ii[9], ii[10] = a, b, x, variant
                     times = [("", "sin({})", "cos({})", "{}")[variant].format(names[x])] if x >= 0 else []
                     both = {s: self.state_units[a].get(s, 0) + self.state_units[b].get(s, 0)
                             for s in {*self.state_units[a], *self.state_units[b]}}
-                    places.append(self._place("state", names[v], [names[a], names[b], *times], ii, v=v, x=x,
+                    places.append(self.place("state", names[v], [names[a], names[b], *times], ii, v=v, x=x,
                                               scales={"speeds": self.reach(a) * self.reach(b)},
                                               units={"speeds": both}, constants=(factor,)))
         return places
@@ -341,26 +242,26 @@ class Structure:
         """Every position on which alone the inertia that the simulator shows depends; the matrix as constants."""
         places = []
         for shown in shown_inertia(self):
-            ii = self._force_ii(shown.speeds[shown.moving])
+            ii = self.force_ii(shown.speeds[shown.moving])
             ii[5], ii[10] = shown.position, int(not shown.angular)
             ii[6:9] = [k for k, _, _ in shown.changes] + [-1] * (3 - len(shown.changes))
             nominal = [value for _, value, _ in shown.changes] + [1.0] * (3 - len(shown.changes))
             names = [self.plant.state_names[i] for i in (shown.position, *shown.speeds)]
             constants = (len(shown.speeds), shown.moving, shown.turn, shown.ratio, *nominal, *shown.speeds,
                          *shown.table.ravel(), *(w for _, _, change in shown.changes for w in change.ravel()))
-            places.append(self._place("state", self.plant.state_names[shown.speeds[shown.moving]], names, ii,
+            places.append(self.place("state", self.plant.state_names[shown.speeds[shown.moving]], names, ii,
                                       constants=tuple(float(c) for c in constants)))
         return places
 
     def inputs(self, delays: bool = False, signs: bool = False) -> list[Place]:
         """Every command channel; signs: once for its positive and once for its negative values."""
-        return [self._place("input", name, [name], [0, 0, j, -1, -1, -1, -1, -1, j, -1, sign, 0], j=j,
+        return [self.place("input", name, [name], [0, 0, j, -1, -1, -1, -1, -1, j, -1, sign, 0], j=j,
                             note={1: "positive", -1: "negative"}.get(sign, ""))
                 for j, name in enumerate(self.plant.input_names) for sign in ((1, -1) if signs else (0,))]
 
     def loads(self) -> list[Place]:
         """Constant forces: at every speed, at inputs that drive no speed, and at a black box's force hook."""
-        places = [self._place("state", self.plant.state_names[v], [], self._force_ii(v), v=v)
+        places = [self.place("state", self.plant.state_names[v], [], self.force_ii(v), v=v)
                   for v in self.velocities()]
         taken = {self.entry[v][1] for v in self.velocities() if self.entry[v][0] != 1}
         driven = len(self.velocities()) and all(self.kinds[i] in ("velocity", "position")
@@ -369,12 +270,12 @@ class Structure:
             if j in taken or (driven and len(self.plant.input_names) == 1):
                 continue
             ii = [0, 0, j, -1, -1, -1, -1, -1, j, -1, 0, 0]
-            places.append(self._place("input", name, [], ii, j=j,
+            places.append(self.place("input", name, [], ii, j=j,
                                       scales={"force": float(self.input_max[j]) or 1.0},
                                       units={"force": self.input_units[j]}))
         nu = len(self.plant.input_names)
         for j, (name, unit) in enumerate(zip(self.plant.force_names, self.plant.force_units, strict=True)):
-            places.append(self._place("force", name, [], [0, 0, nu + j, -1, -1, -1, -1, -1, -1, -1, 0, 0],
+            places.append(self.place("force", name, [], [0, 0, nu + j, -1, -1, -1, -1, -1, -1, -1, 0, 0],
                                       scales={"force": self.hook_scale[j]}, units={"force": parse_unit(unit)}))
         return places
 
@@ -392,51 +293,14 @@ class Structure:
                     options.insert(0, (0, (0.0, max(-lo, hi))))
             for side, span in options:
                 ii = [0, 0, 0, -1, -1, -1, -1, k, -1, -1, side, 0]
-                places.append(self._place("output", name, [name], ii, k=k, levels={"output": span},
+                places.append(self.place("output", name, [name], ii, k=k, levels={"output": span},
                                           note=("both sides", "upper", "lower")[side] if sides else ""))
-        return places
-
-    def stores(self, kind: str) -> list[Place]:
-        """Levels or pressures (fluid), temperatures (thermal)."""
-        places = []
-        for i, found in enumerate(self.kinds):
-            if found not in (kind, "store"):
-                continue
-            ii = [0, 1, i, -1, i, -1, -1, -1, -1, -1, 0, 0]
-            typical = 0.5 * (self.low[i] + self.high[i])
-            absolute = typical > 200.0
-            shift = 0.0 if absolute else (293.15 if "K" in self.state_units[i] else 273.15)
-            constants = (shift,) if kind == "thermal" else ()
-            span = (min(self.low[i], 0.0), self.high[i] - min(self.low[i], 0.0))
-            places.append(self._place("state", self.plant.state_names[i], [self.plant.state_names[i]], ii,
-                                      x=i,
-                                      levels={"position": span,
-                                              "ambient": (self.low[i], self.high[i] - self.low[i])},
-                                      units={"ambient": self.state_units[i]}, constants=constants))
-        return places
-
-    def cascades(self, kind: str) -> list[Place]:
-        """A store that feeds another."""
-        places = []
-        members = [i for i, k in enumerate(self.kinds) if k in (kind, "store")]
-        mid = 0.5 * (self.low + self.high)
-        for i in members:
-            for j in members:
-                if i != j and abs(self._slope(j, i, mid, self.input_rms)) > 1e-9 / self.time_scale:
-                    if abs(self._slope(i, j, mid, self.input_rms)) > 1e-9 / self.time_scale and i > j:
-                        continue
-                    ii = [0, 1, i, -1, i, -1, j, -1, -1, -1, 0, 0]
-                    places.append(self._place(
-                        "state", self.plant.state_names[i],
-                        [self.plant.state_names[i], self.plant.state_names[j]], ii,
-                        x=i, levels={"position": (0.0, self.reach(i)), "second": (0.0, self.reach(j))},
-                        units={"second": self.state_units[j]}))
         return places
 
     def drifting_parameters(self) -> list[Place]:
         if self.plant.black_box is not None and not self.plant.gains:
             return []  # its parameters hold for a whole call
         names = list(self.plant.parameters)
-        return [self._place("parameter", name, ["t"],
+        return [self.place("parameter", name, ["t"],
                             [0, 0, 0, -1, -1, -1, -1, -1, -1, -1, names.index(name), 0])
                 for name in self.free if name in names]

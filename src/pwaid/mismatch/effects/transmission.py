@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from pwaid.mismatch.effects.base import Effect, Quantity
+from pwaid.mismatch.shafts import shafts, single_masses, twists
 
 __all__ = ["EFFECTS"]
 
@@ -105,24 +106,24 @@ def inertia(phase, t, h, x, xs, u, p, dx, ii, q):
 EFFECTS = (
     Effect("backlash", "transmission", "shaft torque = k * (twist beyond +-half_gap)",
            (Quantity("half_gap", "position", 1e-4, 0.9, (0.01, 0.05, 0.2)),), gap_in_shaft,
-           lambda s: s.shafts(), ("actuator_deadzone", "input_play", "coulomb_friction"),
+           shafts, ("actuator_deadzone", "input_play", "coulomb_friction"),
            "reverse the load at rest with both encoders; a constant preload makes it vanish", memory=True),
     Effect("backlash", "transmission", "shaft torque = k * (twist, a state, beyond +-half_gap)",
            (Quantity("half_gap", "position", 1e-3, 10.0, (0.05, 0.2, 1.0)),), gap_in_twist,
-           lambda s: s.twists(), ("actuator_deadzone", "input_play", "coulomb_friction"),
+           twists, ("actuator_deadzone", "input_play", "coulomb_friction"),
            "reverse the load at rest with both encoders; a constant preload makes it vanish", memory=True),
     Effect("backlash", "transmission", "the load hangs on the motor through a gap of +-half_gap",
            (Quantity("half_gap", "position", 1e-4, 3.0, (0.02, 0.1)),
             Quantity("load_share", "1", 0.05, 0.95, (0.5,)),
             Quantity("contact_frequency", "rate", 0.5, 40.0, (8.0,)),
             Quantity("damping_ratio", "1", 0.01, 2.0, (0.3,))),
-           gap_to_hidden_load, lambda s: s.single_masses(), ("compliance", "input_play"),
+           gap_to_hidden_load, single_masses, ("compliance", "input_play"),
            "reverse slowly at rest; a constant preload makes it vanish", extra_states=2, memory=True,
            contains=("compliance",)),
     Effect("compliance", "transmission", "the load hangs on a spring of the given natural frequency",
            (Quantity("load_share", "1", 0.02, 0.95, (0.3,)),
             Quantity("frequency", "rate", 0.3, 30.0, (1.0, 2.5, 6.0)),
-            Quantity("damping_ratio", "1", 1e-3, 1.0, (0.05,))), hidden_mode, lambda s: s.single_masses(),
+            Quantity("damping_ratio", "1", 1e-3, 1.0, (0.05,))), hidden_mode, single_masses,
            ("input_delay", "actuator_lag", "sensor_lag"), "broadband excitation above the mode",
            extra_states=2),
     Effect("missing_inertia", "inertial", "F = inertia * dv/dt",

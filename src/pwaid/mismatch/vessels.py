@@ -1,0 +1,79 @@
+"""Where fluid or heat is stored, and through which outlets it leaves."""
+
+from __future__ import annotations
+
+import itertools
+
+import numpy as np
+
+from pwaid.mismatch.effects.base import Place
+from pwaid.mismatch.structure import Structure
+
+__all__ = ["cascades", "outlets", "stores"]
+
+STEP = 1e-4  # relative change of a parameter
+
+
+def stores(s: Structure, kind: str) -> list[Place]:
+    """Levels or pressures (fluid), temperatures (thermal)."""
+    places = []
+    for i in _members(s, kind):
+        ii = [0, 1, i, -1, i, -1, -1, -1, -1, -1, 0, 0]
+        typical = 0.5 * (s.low[i] + s.high[i])
+        absolute = typical > 200.0
+        shift = 0.0 if absolute else (293.15 if "K" in s.state_units[i] else 273.15)
+        constants = (shift,) if kind == "thermal" else ()
+        span = (min(s.low[i], 0.0), s.high[i] - min(s.low[i], 0.0))
+        levels = {"position": span, "ambient": (s.low[i], s.high[i] - s.low[i])}
+        places.append(s.place("state", s.plant.state_names[i], [s.plant.state_names[i]], ii, x=i, levels=levels,
+                              units={"ambient": s.state_units[i]}, constants=constants))
+    return places
+
+
+def cascades(s: Structure, kind: str) -> list[Place]:
+    """A store that feeds another."""
+    places, mid = [], 0.5 * (s.low + s.high)
+    for i, j in itertools.permutations(_members(s, kind), 2):
+        feeds, fed_back = (abs(s.slope(*pair, mid, s.input_rms)) > 1e-9 / s.time_scale for pair in ((j, i), (i, j)))
+        if not feeds or (fed_back and i > j):
+            continue
+        ii = [0, 1, i, -1, i, -1, j, -1, -1, -1, 0, 0]
+        names = [s.plant.state_names[i], s.plant.state_names[j]]
+        places.append(s.place("state", names[0], names, ii, x=i,
+                              levels={"position": (0.0, s.reach(i)), "second": (0.0, s.reach(j))},
+                              units={"second": s.state_units[j]}))
+    return places
+
+
+def outlets(s: Structure) -> list[Place]:
+    """A place for every parameter k that acts as the flow k*h or k*(h - h2) out of a store, wherever that flow goes.
+
+    The derivative of every rate by such a parameter is proportional to the head, whatever the inputs are.
+    """
+    members = _members(s, "fluid")
+    if not members or s.plant.black_box is not None or s.plant.dt:
+        return []
+    points, p = s.points(12), s.plant.vector()
+    X = np.array([x for x, _ in points])
+    heads = [(i, -1) for i in members] + list(itertools.combinations(members, 2))
+    places = []
+    for n, name in enumerate(s.plant.parameters):
+        if name not in s.free or p[n] == 0.0:
+            continue
+        more, less = p.copy(), p.copy()
+        more[n] *= 1 + STEP
+        less[n] *= 1 - STEP
+        change = np.array([s.plant.derivative(x, u, more) - s.plant.derivative(x, u, less) for x, u in points])
+        size = np.max(np.abs(change), axis=0)
+        for i, j in heads:
+            head = X[:, i] - (X[:, j] if j >= 0 else 0.0)
+            gain = head @ change / (head @ head)
+            if np.allclose(change, np.outer(head, gain), rtol=1e-5, atol=1e-7 * float(size.max())) and gain[i] < 0.0:
+                names = [s.plant.state_names[k] for k in (i, j) if k >= 0]
+                ii = [0, 0, i, n, i, -1, j, -1, -1, -1, 0, 0]
+                places.append(s.place("state", names[0], names, ii, x=i, note=f"through {name}"))
+    return places
+
+
+def _members(s: Structure, kind: str) -> list[int]:
+    return [i for i, found in enumerate(s.kinds) if found in (kind, "store")]
