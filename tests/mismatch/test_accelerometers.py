@@ -54,7 +54,7 @@ def model(name: str, data, python: bool = False) -> Model:
     s = structure_of(simulator, data, ["g"])
     shown, gain = rates_shown(s)
     plant = replace(s.plant, rhs=None, out=None, takes_arrays=False) if python else s.plant
-    settings = Settings(plant, s.partner, s.ratio, tuple(NOMINAL), np.full(3, 0.3), 2, shown=shown, gain=gain)
+    settings = Settings(plant, s.partner, s.ratio, tuple(NOMINAL), np.full(3, 0.3), substeps=2, shown=shown, gain=gain)
     return Model(settings, tuple(e for e in locate_effects(CATALOGUE, s) if e.effect.id == name)[:1])
 
 

@@ -67,7 +67,7 @@ def plant(gain=4.0):
 
 
 def fitted(p, data, x0=(0.0, 0.0)):
-    model = Model(Settings(p, np.full(2, -1), np.zeros(2), (), np.zeros(0), 4))
+    model = Model(Settings(p, np.full(2, -1), np.zeros(2), (), np.zeros(0), substeps=4))
     return Fit(model, np.zeros(0), np.array([x0] * len(data.segments), dtype=float), 0.0, data.Y, data.Y, 0)
 
 

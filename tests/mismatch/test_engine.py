@@ -29,7 +29,7 @@ def structure(plant=PLANT, data=DATA):
 
 def settings(plant=PLANT):
     s = structure()
-    return Settings(plant, s.partner, s.ratio, ("m", "b", "k"), np.full(3, 0.3), 2)
+    return Settings(plant, s.partner, s.ratio, ("m", "b", "k"), np.full(3, 0.3), substeps=2)
 
 
 def test_linear_plant_matches_the_matrix_exponential():

@@ -98,7 +98,7 @@ def _setting(name):
     free = tuple(plant.parameters)[:2]
     s = find_structure(plant, states, data.U, data.Y, [input_unit], [output_unit] * ny, data.sample_time, 1.6, free)
     shown, gain = rates_shown(s)
-    return plant, data, s, Settings(plant, s.partner, s.ratio, free, np.full(len(free), 0.3), 2,
+    return plant, data, s, Settings(plant, s.partner, s.ratio, free, np.full(len(free), 0.3), substeps=2,
                                    shown=shown, gain=gain)
 
 
@@ -176,7 +176,7 @@ def test_parameters_that_build_takes_are_refitted_in_the_file(build):
     _, data, structure, _ = _setting("oscillator")
     plant = with_arguments(as_plant(build()), build, ["b", "m"])
     assert set(plant.parameters) == {"m", "b", "k"} and plant.rhs is not None
-    settings = Settings(plant, structure.partner, structure.ratio, ("b", "m"), np.full(2, 0.3), 2)
+    settings = Settings(plant, structure.partner, structure.ratio, ("b", "m"), np.full(2, 0.3), substeps=2)
     located = locate_effects(CATALOGUE, find_structure(plant, np.random.default_rng(0).normal(size=(64, 2)), data.U,
                                                        data.Y, ["N"], ["m"], data.sample_time, 1.6, ("b", "m")))
     law = next(e for e in located if e.effect.id == "quadratic_drag")

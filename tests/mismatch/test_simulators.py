@@ -42,7 +42,7 @@ def test_the_simulation_is_that_of_the_control_package(system):
     nx, nu, ny = plant.sizes
     rec = recording(1, nu, ny)
     data = Dataset.from_recordings([rec])
-    model = Model(Settings(plant, np.full(nx, -1), np.zeros(nx), (), np.zeros(0), 8))
+    model = Model(Settings(plant, np.full(nx, -1), np.zeros(nx), (), np.zeros(0), substeps=8))
     Y, _ = model.simulate(np.zeros(0), np.zeros((1, nx)), data)
     want = np.zeros_like(Y)
     entries = [(i, j, control.ss(system[i, j] if (nu, ny) != (1, 1) else system)) for i in range(ny) for j in range(nu)]

@@ -30,7 +30,8 @@ NAMES = ("coulomb_friction", "actuator_lag", "sensor_lag", "input_delay", "presl
 def model(name: str, arrays: bool | None, **changes) -> Model:
     """The oscillator with one effect; compiled when `arrays` is None."""
     plant = PLANT if arrays is None else replace(PLANT, rhs=None, out=None, takes_arrays=arrays)
-    settings = Settings(plant, STRUCTURE.partner, STRUCTURE.ratio, ("m", "b", "k"), np.full(3, 0.3), 2, **changes)
+    settings = Settings(plant, STRUCTURE.partner, STRUCTURE.ratio, ("m", "b", "k"), np.full(3, 0.3), substeps=2,
+                        **changes)
     return Model(settings, tuple(e for e in locate_effects(CATALOGUE, STRUCTURE) if e.effect.id == name)[:1])
 
 

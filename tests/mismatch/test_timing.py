@@ -7,8 +7,12 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from scipy.linalg import expm
+from tests_support import TRUE, multisine, oscillator, recorded
 
 from pwaid.mismatch.dataset import Dataset
+from pwaid.mismatch.effects.registry import effect_by_id
+from pwaid.mismatch.explain import collect
 from pwaid.mismatch.hygiene import _sign
 from pwaid.mismatch.timing import shift_between, timing_notes
 from pwaid.recording import Recording
@@ -68,3 +72,25 @@ def test_a_factor_that_units_explain_is_named():
     assert "degrees and radians" in _sign("x", 57.3 * y, y, "deg")[0]
     assert "mirrored" in _sign("x", -y, y, "")[0]
     assert _sign("x", 1.3 * y, y, "") == []
+
+
+def interpolated(seed: int) -> Recording:
+    """The true oscillator under a force that runs straight from one sample to the next, exact but for 1 mm of noise."""
+    rng, dt, p = np.random.default_rng(seed), 0.1, TRUE
+    t = dt * np.arange(250)
+    u = multisine(rng, t, 2.5)
+    M = expm(dt * np.array([[0, 1, 0, 0], [-p["k"] / p["m"], -p["b"] / p["m"], 1 / p["m"], 0],
+                            [0, 0, 0, 1], [0, 0, 0, 0]]))
+    x, y = np.zeros(2), np.empty(t.size)
+    for k, slope in enumerate(np.diff(u, append=u[-1]) / dt):
+        y[k] = x[0]
+        x = (M @ [*x, u[k], slope])[:2]
+    return recorded(t, u, y, 1e-3, rng, seed)
+
+
+def test_a_first_order_hold_is_simulated_as_stated():
+    runs, error = [interpolated(s) for s in (1, 2, 3)], {}
+    for hold in ("zero", "first"):
+        problem = collect(oscillator(), runs[:2], runs[2:], hold=hold, effects=effect_by_id("coulomb_friction")).problem
+        error[hold] = np.sqrt(np.mean(problem.null.residual(problem.train) ** 2))
+    assert error["first"] < 1.2e-3 < 5e-3 < error["zero"]

@@ -114,7 +114,8 @@ def expected_time(plant: Plant, data: Dataset) -> str:
         one = (time.perf_counter() - started) * len(data.names)
     else:
         nx = plant.sizes[0]
-        model = Model(Settings(plant, np.full(nx, -1, dtype=np.int64), np.zeros(nx), (), np.zeros(0), TIMED_SUBSTEPS))
+        model = Model(Settings(plant, np.full(nx, -1, dtype=np.int64), np.zeros(nx), (), np.zeros(0),
+                               substeps=TIMED_SUBSTEPS))
         head = replace(data, segments=np.array([(a, min(b, a + 20), a, b) for a, b in data.recordings]))
         model.simulate(np.zeros(0), np.zeros((len(head.segments), nx)), head)  # compiles what runs the columns
         started = time.perf_counter()

@@ -77,7 +77,7 @@ def make_loop(system, plant: Plant, references: Mapping[str, np.ndarray], sample
         raise InputError(f"the controller steps {controller.dt:g} s, the recordings are sampled every {sample_time:g} "
                          "s; resample the controller")
     still = np.full(nx, -1, dtype=np.int64)
-    return Loop(Model(Settings(controller, still, np.zeros(nx), (), np.zeros(0), 4)), dict(references))
+    return Loop(Model(Settings(controller, still, np.zeros(nx), (), np.zeros(0), substeps=4)), dict(references))
 
 
 class Walk:

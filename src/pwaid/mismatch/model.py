@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import KW_ONLY, dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -109,6 +109,7 @@ class Settings:
     ratio: np.ndarray
     free: tuple[str, ...]
     tolerance: np.ndarray
+    _: KW_ONLY
     substeps: int = 1
     sliding: int = 1  # substeps that dry friction needs at least
     first_order_hold: bool = False

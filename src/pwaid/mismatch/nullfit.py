@@ -183,7 +183,7 @@ def prepare(plant: Plant, train: Dataset, test: Dataset, input_units, output_uni
     free, notes = free_names(plant, free)
     zero = np.zeros(plant.sizes[0], dtype=np.int64) - 1
     settings = Settings(plant, zero, np.zeros(plant.sizes[0]), free, tolerances(plant, free, tolerance),
-                        1, first_order_hold)
+                        first_order_hold=first_order_hold)
     rough = _rough_structure(plant, train, input_units, output_units, free)
     settings = replace(settings, partner=rough.partner, ratio=rough.ratio)
     model = Model(settings)
