@@ -204,8 +204,8 @@ def _same_knob(a: Located, b: Located) -> bool:
 
 
 def _leading(hypotheses: Sequence[Hypothesis], count: int) -> list[Hypothesis]:
-    """The best `count` of each id and place, and those that remove most of the error and are as good as the best but for
-    TIED, at most twice as many."""
+    """The best `count` of each id and place, and as many more that remove most of the error and are as good but for
+    TIED."""
     ranked = _distinct(hypotheses, 2 * count)
     return [h for k, h in enumerate(ranked) if k < count or (
         h.share > 0.5 and h.train_error < TIED * ranked[0].train_error)]
