@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -225,9 +225,24 @@ def fit_shortlist(problem: Problem, candidates: Sequence[Screened], jobs: int = 
     return sorted(run_jobs(finish, kept, jobs), key=lambda h: h.train_error)
 
 
-def fit_screened(problem: Problem, base: Fit, located: Sequence[Located], jobs: int = 1) -> list[Hypothesis]:
-    """Those of these laws that the screen sees on top of `base`, a fit on segments, tried and fitted on it."""
-    return fit_shortlist(problem, [s for s in screen(problem, base, located, jobs) if s.score > 0], jobs, base=base)
+def fit_screened(problem: Problem, base: Fit, located: Sequence[Located], jobs: int = 1,
+                 outer: Located | None = None, values=()) -> list[Hypothesis]:
+    """Those of these laws that the screen sees on top of `base`, a fit on segments, tried and fitted on it.
+
+    With the law that contains them, `outer`, and its fitted values, each is first tried at its part of them.
+    """
+    seen = [s for s in screen(problem, base, located, jobs) if s.score > 0]
+    if outer is not None:
+        seen = [replace(s, starts=(*_inherited(outer, values, s.located), *s.starts)) for s in seen]
+    return fit_shortlist(problem, seen, jobs, base=base)
+
+
+def _inherited(outer: Located, values, inner: Located) -> list[np.ndarray]:
+    """A start for a contained law: each parameter the mean of those of `outer` that its name begins; none where one
+    has no such."""
+    found = [[v for o, v in zip(outer.effect.quantities, values, strict=True) if o.name.startswith(q.name)]
+             for q in inner.effect.quantities]
+    return [inner.from_physical([float(np.mean(v)) for v in found])] if all(found) else []
 
 
 def without(fit: Fit, dropped: Located, data: Dataset) -> Fit:

@@ -39,7 +39,8 @@ def fit_contained(problem: Problem, singles: Sequence[Hypothesis], located: Sequ
     for outer in singles[:count]:
         inner = inner_laws(outer.located[0], located)
         if inner:
-            found += fit_screened(problem, _nominal_of(problem, outer), inner, jobs)
+            values = outer.coarse.model.parts(outer.coarse.theta)[0]
+            found += fit_screened(problem, _nominal_of(problem, outer), inner, jobs, outer.located[0], values)
     return _best_of_each(found)
 
 
