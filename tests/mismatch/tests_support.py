@@ -40,8 +40,9 @@ def recorded(t, u, y, noise: float, rng, seed: int) -> Recording:
 
 
 def record(seed: int, level: float = 0.0, samples: int = 900, dt: float = 0.02, noise: float = 2e-3,
-           fine: int = 20):
-    """A multisine recording of the true oscillator with Coulomb friction of the given level, exact at rest."""
+           fine: int = 20, force=None):
+    """A multisine recording of the true oscillator with Coulomb friction of the given level, exact at rest, and a force
+    of the position if one is given."""
     rng = np.random.default_rng(seed)
     t = np.arange(samples) * dt
     u = multisine(rng, t, 1.5)
@@ -50,7 +51,7 @@ def record(seed: int, level: float = 0.0, samples: int = 900, dt: float = 0.02, 
     for k in range(samples):
         y[k] = x
         for _ in range(fine):
-            smooth = u[k] - TRUE["b"] * v - TRUE["k"] * x
+            smooth = u[k] - TRUE["b"] * v - TRUE["k"] * x + (force(x) if force else 0.0)
             if v == 0.0 and abs(smooth) <= level:
                 continue
             sign = np.sign(v) if v != 0.0 else np.sign(smooth)

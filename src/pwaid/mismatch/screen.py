@@ -19,12 +19,14 @@ from pwaid.mismatch.effects.base import Effect
 from pwaid.mismatch.fit import Fit
 from pwaid.mismatch.model import Located
 from pwaid.mismatch.nullfit import Problem
-from pwaid.mismatch.signatures import Signatures, mirrored, one_signed
+from pwaid.mismatch.signatures import Signature, Signatures, mirrored, one_signed
 from pwaid.mismatch.structure import Structure
 
 __all__ = ["Screened", "locate_effects", "other_laws", "overlooked", "run_jobs", "screen", "shortlist"]
 
 ABSORBED = 1e-5  # a small signature of which less than this share is left is a nominal parameter in disguise
+STARTS = 4
+APART = 2.0  # over the reach of the position: wavenumbers closer than that are one start
 AGAINST = 0.3  # factor on the score of a law that would have to act against its sign: the null may be bent far
 
 
@@ -63,7 +65,8 @@ def screen(problem: Problem, fit: Fit, located: Sequence[Located], jobs: int = 1
     def one(candidate: Located) -> Screened:
         """Score one candidate by its best probe."""
         scored, visible = [], 0.0
-        for s in signatures.of(candidate):
+        found = signatures.of(candidate)
+        for s in found:
             visible = max(visible, s.share)
             if s.seen:
                 against = s.dot < 0 and one_signed(candidate)
@@ -73,10 +76,31 @@ def screen(problem: Problem, fit: Fit, located: Sequence[Located], jobs: int = 1
         best = scored[0][0] if scored else 0.0
         if best > 0 and visible < 0.02 and signatures.share_of_small(candidate, scored[0][1]) < ABSORBED:
             best = 0.0
-        return Screened(candidate, best, tuple(np.array(z) for _, z in scored[:4]), visible)
+        starts = _ripple_starts(found) if candidate.effect.id == "position_ripple" else [z for _, z in scored[:STARTS]]
+        return Screened(candidate, best, tuple(np.array(z) for z in starts), visible)
 
     found = run_jobs(one, located, jobs)
     return sorted(found, key=lambda s: -s.score)
+
+
+def _ripple_starts(signatures: Sequence[Signature]) -> list[np.ndarray]:
+    """Starts of a ripple at the wavenumbers, well apart, at which a sine and a cosine together tell most, with the
+    phase that they give."""
+    pairs: dict[float, list[Signature]] = {}
+    for s in signatures:
+        pairs.setdefault(float(s.start[1]), []).append(s)
+    ranked = []
+    for pair in (p for p in pairs.values() if len(p) == 2 and all(s.seen for s in p)):
+        sine, cosine = sorted(pair, key=lambda s: s.start[2])
+        dots, alike = np.array([sine.dot, cosine.dot]), float(sine.direction @ cosine.direction)
+        weights = np.linalg.lstsq(np.array([[1.0, alike], [alike, 1.0]]), dots, rcond=1e-6)[0]
+        phase = float(np.arctan2(weights[1], weights[0]))
+        ranked.append((float(weights @ dots), np.array([*sine.start[:2], phase])))
+    chosen: list[np.ndarray] = []
+    for _, z in sorted(ranked, key=lambda r: -r[0]):
+        if len(chosen) < STARTS and all(abs(np.exp(z[1]) - np.exp(c[1])) > APART for c in chosen):
+            chosen.append(z)
+    return chosen
 
 
 def shortlist(screened: Sequence[Screened], top: int = 8, per_family: float = 0.3,

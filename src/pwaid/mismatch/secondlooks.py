@@ -14,6 +14,7 @@ from pwaid.mismatch.hypotheses import (
     Hypothesis,
     fit_screened,
     fit_shortlist,
+    floor_square,
     hypothesis_of,
     inner_laws,
     joined,
@@ -26,7 +27,8 @@ from pwaid.mismatch.screen import Screened, overlooked, run_jobs, screen
 
 __all__ = ["fit_by_segments", "fit_contained", "fit_lookalikes", "fit_partners_by_segments"]
 
-FIRST, PROMISING = 1200, 0.5  # samples on which starts are tried; share of the null's error there worth going on from
+# Samples on which starts are tried; share of the error above the noise there that is worth going on from.
+FIRST, PROMISING = 1200, 0.5
 
 
 def fit_contained(problem: Problem, singles: Sequence[Hypothesis], located: Sequence[Located], jobs: int = 1,
@@ -95,7 +97,8 @@ def _from_pieces(problem: Problem, base: Fit, located: Sequence[Located], fitted
              and (s in shown or s.located.key in fitted)][:count]
     energy = np.sum(((data.Y - near.Y) / problem.sigma) ** 2, axis=1)
     part, index = data.windows(_telling(data, energy))
-    worth = PROMISING * np.sum(energy[index])
+    noise = floor_square(problem) * part.Y.size
+    worth = noise + PROMISING * (float(np.sum(energy[index])) - noise)
     grown = run_jobs(lambda s: _grown(problem, base, data, part, worth, s), asked, jobs)
     return [h for h in grown if h is not None]
 
