@@ -115,7 +115,7 @@ def decide(problem: Problem, null: Hypothesis, singles: Sequence[Hypothesis], pa
         reasons.append(f"{TOGETHER}, the simulator misses less than the noise on each: the training recordings alone "
                        "do not determine its parameters")
         return Decision("parameters_only", null, (), (), tuple(reasons))
-    passed, refused = _judge(problem, [h for h in singles if _passes(problem, h, null, share)], t, reasons)
+    passed, refused = _judge(problem, _passing(problem, null, singles, share, t), t, reasons)
     passed_pairs, more = _judge(problem, _passing_pairs(problem, null, singles, pairs, share, t), t, reasons)
     passed = _not_outdone(problem, passed, [*refused, *more], t, reasons)
     passed_pairs = sorted(_not_outdone(problem, passed_pairs, [*refused, *more], t, reasons), key=_score)
@@ -139,6 +139,14 @@ def decide(problem: Problem, null: Hypothesis, singles: Sequence[Hypothesis], pa
 
 def _score(h: Hypothesis) -> float:
     return 0.5 * (h.train_error + h.test_error)
+
+
+def _passing(problem, null, singles, share, t) -> list[Hypothesis]:
+    """The single effects that remove enough; and those inside one of them that all but do, so that no hair's breadth
+    of a threshold decides between a law and a wider one."""
+    enough = [h for h in singles if _passes(problem, h, null, share)]
+    return enough + [h for h in singles if h not in enough and any(_inside(h, w) for w in enough)
+                     and _passes(problem, h, null, t.inner * share)]
 
 
 def _passes(problem, h: Hypothesis, null: Hypothesis, share: float) -> bool:

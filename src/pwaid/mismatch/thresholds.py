@@ -17,6 +17,7 @@ class Thresholds:
     predicted: float = 0.15  # ... when past inputs predict less than this share of it
     share: float = 0.5  # of the explainable held-out error, with a trusted floor
     share_tentative: float = 0.45  # without one
+    inner: float = 0.9  # of either is enough for a law inside one that passes
     pair_share: float = 0.9  # by two laws together, which bend to much;
     pair_share_quiet: float = 0.7  # where noise is small beside what they leave (see `quiet`)
     second_share: float = 0.35  # of what the single effect left
