@@ -27,7 +27,7 @@ def friction(report, channel: str, dry: bool = True):
         total, (nx, nu, _) = 0.0, plant.sizes
         for e, q in laws:
             ii, x, u, dx, column = np.array(e.place.ii), np.zeros(nx), np.zeros(nu), np.zeros(nx), np.zeros(nx)
-            x[ii[4]], column[ii[4]] = v, 1.0
+            x[ii[4]], column[ii[4]] = v, np.sign(v)  # friction acts against the motion
             if e.effect.memory:
                 total += q[0] * np.sign(v)  # the level that sliding reaches
             elif e.effect.proximal:
