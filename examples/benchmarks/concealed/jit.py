@@ -5,7 +5,6 @@ from __future__ import annotations
 
 import hashlib
 import tempfile
-from functools import partial
 from pathlib import Path
 
 import numba
@@ -21,5 +20,13 @@ def _stamp():
     return digest.hexdigest()[:16]
 
 
-numba.config.CACHE_DIR = str(Path(tempfile.gettempdir()) / f"concealed-cache-{_stamp()}")
-njit = partial(numba.njit, cache=True, error_model="numpy")
+CACHE = str(Path(tempfile.gettempdir()) / f"concealed-cache-{_stamp()}")
+
+
+def njit(function):
+    """A compiled function with its cache in `CACHE`; whatever else compiles in this process keeps its own."""
+    before, numba.config.CACHE_DIR = numba.config.CACHE_DIR, CACHE
+    try:
+        return numba.njit(cache=True, error_model="numpy")(function)
+    finally:
+        numba.config.CACHE_DIR = before
