@@ -97,9 +97,8 @@ def _setting(name):
     states = rng.uniform(0.2, 1.0, (64, nx)) if "tanks" in name else rng.normal(size=(64, nx))
     free = tuple(plant.parameters)[:2]
     s = find_structure(plant, states, data.U, data.Y, [input_unit], [output_unit] * ny, data.sample_time, 1.6, free)
-    shown, gain = rates_shown(s)
     return plant, data, s, Settings(plant, s.partner, s.ratio, free, np.full(len(free), 0.3), substeps=2,
-                                   shown=shown, gain=gain)
+                                   rates_shown=rates_shown(s))
 
 
 def _hypothesis(settings, located, data):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from pwaid.mismatch.structure import Structure, on_line
@@ -9,21 +11,18 @@ from pwaid.mismatch.structure import Structure, on_line
 __all__ = ["rates_shown"]
 
 
-def rates_shown(s: Structure) -> tuple[np.ndarray, np.ndarray]:
-    """The speed whose rate each output shows, -1 for none, and the output per rate, both (ny,).
+def rates_shown(s: Structure) -> tuple[tuple[int, int, float], ...]:
+    """Output, speed and output per rate, for every output that shows the rate of a speed.
 
     The simulator computes such an output from forces that it knows; a law that is left out must be added to it, or the
     output would contradict the motion.
     """
-    ny = len(s.plant.output_names)
-    shown, gain = np.full(ny, -1, dtype=np.int64), np.zeros(ny)
     if s.plant.black_box is not None or s.plant.dt:
-        return shown, gain
-    points = s.points(12)
+        return ()
+    points, found = s.points(12), []
     rates, outputs = (np.array([f(x, u) for x, u in points]) for f in (s.plant.derivative, s.plant.outputs))
-    for k in range(ny):
-        for v in s.velocities() if s.output_state[k] < 0 else ():
-            line = on_line(rates[:, v], outputs[:, k])
-            if line is not None:
-                shown[k], gain[k] = v, line[0]
-    return shown, gain
+    for k, v in itertools.product(range(outputs.shape[1]), s.velocities()):
+        line = on_line(rates[:, v], outputs[:, k]) if s.output_state[k] < 0 else None
+        if line is not None:
+            found.append((k, v, line[0]))
+    return tuple(found)

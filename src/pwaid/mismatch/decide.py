@@ -145,8 +145,8 @@ def _passing(problem, null, singles, share, t) -> list[Hypothesis]:
     """The single effects that remove enough; and those inside one of them that all but do, so that no hair's breadth
     of a threshold decides between a law and a wider one."""
     enough = [h for h in singles if _passes(problem, h, null, share)]
-    return enough + [h for h in singles if h not in enough and any(_inside(h, w) for w in enough)
-                     and _passes(problem, h, null, t.inner * share)]
+    return [h for h in singles if _passes(
+        problem, h, null, t.inner * share if any(_inside(h, w) for w in enough) else share)]
 
 
 def _passes(problem, h: Hypothesis, null: Hypothesis, share: float) -> bool:

@@ -33,12 +33,12 @@ from numba.core import cgutils
 from numba.core.errors import NumbaExperimentalFeatureWarning
 from numba.extending import intrinsic
 
-__all__ = ["BRIEF", "EFFECT_TYPE", "OUT_TYPE", "RHS_TYPE", "idle", "simulate_segments", "simulate_variants", "still"]
+__all__ = ["EFFECT_TYPE", "INSTANT", "OUT_TYPE", "RHS_TYPE", "idle", "simulate_segments", "simulate_variants", "still"]
 
 # everything here is compiled at import; passing functions on to inner functions is what numba warns about
 warnings.filterwarnings("ignore", category=NumbaExperimentalFeatureWarning)
 
-BRIEF = 1e-3  # of a substep: the time over which an acceleration is read off, dry friction at rest included
+INSTANT = 1e-3  # of a substep: the time over which an acceleration is read off, dry friction at rest included
 _V = f8[::1]
 RHS_TYPE = types.FunctionType(types.void(f8, _V, _V, _V, _V))
 OUT_TYPE = RHS_TYPE
@@ -134,25 +134,24 @@ def _input_at(U, first, last, k, s, S, delay, u, Ts, hold):
 
 
 @njit(
-    types.void(RHS_TYPE, EFFECT_TYPE, EFFECT_TYPE, EFFECT_TYPE, i8, f8, f8, _V, _V, _V, _V, _V, _V, i8[:, ::1],
-               f8[:, ::1], i8[::1], i8[::1], _V, _V),
+    types.void(RHS_TYPE, EFFECT_TYPE, EFFECT_TYPE, EFFECT_TYPE, i8, i8, f8, f8, _V, _V, _V, _V, _V, _V,
+               i8[:, ::1], f8[:, ::1], i8[::1], i8[::1], _V, _V),
     cache=True, nogil=True, error_model="numpy",
 )
-def _accelerations(rhs, e0, e1, e2, ne, t, h, x, xs, u, us, p, ps, II, Q, proximal, shown, gain, y):
+def _accelerations(rhs, e0, e1, e2, ne, nx, t, h, x, xs, u, us, p, ps, II, Q, proximal, shown, gain, y):
     """Add to outputs that show the rate of a state what the effects add to that rate, dry friction included: the
     plant's own output function knows nothing of it. xs, us, ps are what the effects let the plant see."""
-    nt, nx = x.size, xs.size
-    plain, k, w, full = np.zeros(nx), np.zeros(nt), np.zeros(nt), x.copy()
+    nt = x.size
+    plain, k, w = np.zeros(nx), np.zeros(nt), np.zeros(nt)
     rhs(t, x[:nx], us, ps, plain)  # what the output function took
-    rhs(t, xs, us, ps, k[:nx])
-    full[:nx] = xs
+    rhs(t, xs[:nx], us, ps, k[:nx])
     if ne > 0:
-        e0(2, t, h, x, full, us, ps, k, II[0], Q[0])
+        e0(2, t, h, x, xs, us, ps, k, II[0], Q[0])
     if ne > 1:
-        e1(2, t, h, x, full, us, ps, k, II[1], Q[1])
+        e1(2, t, h, x, xs, us, ps, k, II[1], Q[1])
     if ne > 2:
-        e2(2, t, h, x, full, us, ps, k, II[2], Q[2])
-    brief = BRIEF * h
+        e2(2, t, h, x, xs, us, ps, k, II[2], Q[2])
+    brief = INSTANT * h
     for i in range(nt):
         w[i] = x[i] + brief * k[i]
     for e in range(ne):
@@ -257,7 +256,7 @@ def _loop(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, dis
                 e2(1, t, 0.0, x, xs, us, ps, k, i2, q2)
             out(t, xh, us, ps, y)
             if accelerated:
-                _accelerations(rhs, e0, e1, e2, ne, t, h, x, xsh, u, us, p, ps, II, Q, proximal, shown, gain, y)
+                _accelerations(rhs, e0, e1, e2, ne, nx, t, h, x, xs, u, us, p, ps, II, Q, proximal, shown, gain, y)
             if ne > 0:
                 e0(3, t, Ts, x, xs, us, ps, y, i0, q0)
             if ne > 1:

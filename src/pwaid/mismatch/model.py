@@ -114,14 +114,7 @@ class Settings:
     sliding: int = 1  # substeps that dry friction needs at least
     first_order_hold: bool = False
     feedback: bool = False  # the recordings come from a closed loop
-    shown: np.ndarray | None = None  # (ny,) the state whose rate each output shows, -1 for none, and
-    gain: np.ndarray | None = None  # (ny,) the output per rate: what laws add to the rate is added there
-
-    def accelerations(self) -> list[tuple[int, int, float]]:
-        """Output, state and gain of each output that shows the rate of a state."""
-        if self.shown is None or self.plant.dt:
-            return []
-        return [(k, int(v), float(self.gain[k])) for k, v in enumerate(self.shown) if v >= 0]
+    rates_shown: tuple[tuple[int, int, float], ...] = ()  # output, state and gain of outputs that show a state's rate
 
 
 def acting_order(located) -> list[int]:
@@ -161,6 +154,9 @@ class Model:
         self.chained = len(rows) > 1 and min(rows[0][8], rows[1][8]) >= 0
         self.width = max([len(e.effect.quantities) + len(e.place.constants) for e in self.acting] + [1])
         self.proximal = np.array([int(e.effect.proximal) for e in self.acting] + [0] * (3 - len(self.acting)))
+        self.shown, self.gain = np.full(len(plant.output_names), -1, dtype=np.int64), np.zeros(len(plant.output_names))
+        for k, state, gain in settings.rates_shown:
+            self.shown[k], self.gain[k] = state, gain
         delayed = [int(e.place.ii[8]) for e in self.located if e.effect.delays]
         self.delayed = delayed[0] if delayed else -1
 
@@ -264,11 +260,7 @@ class Model:
         plant, s = self.settings.plant, self.settings
         simulate(plant.rhs or still, plant.out or still, *self.kernels, len(self.located), self.nx, start, segments, U,
                  delay, sample_time, 1 if plant.dt else self.substeps, float(s.first_order_hold), int(plant.dt > 0), p,
-                 self.II, Q, self.proximal, s.partner, s.ratio, *self._rates_shown(), *filled, LIMIT)
-
-    def _rates_shown(self):
-        s, ny = self.settings, len(self.settings.plant.output_names)
-        return (np.full(ny, -1, dtype=np.int64), np.zeros(ny)) if s.shown is None else (s.shown, s.gain)
+                 self.II, Q, self.proximal, s.partner, s.ratio, self.shown, self.gain, *filled, LIMIT)
 
     def simulate_many(self, asked, data: Dataset) -> list[np.ndarray]:
         """Outputs (N, ny) for several (theta, X0), in one call."""

@@ -238,8 +238,7 @@ def prepare(plant: Plant, train: Dataset, test: Dataset, input_units, output_uni
                                train.sample_time, length, free)
     if not np.all(np.isfinite(null.cost)):
         warnings.warn("the nominal simulation could not be fitted", stacklevel=2)
-    shown, gain = rates_shown(structure)
-    settings = replace(model.settings, shown=shown, gain=gain)
+    settings = replace(model.settings, rates_shown=rates_shown(structure))
     problem = Problem(plant, settings, train, test, coarse, sigma, floor, structure, ranges, nominal, null, null_coarse,
                       nominal_test, null_test, notes, whole)
     if plant.rhs is None:

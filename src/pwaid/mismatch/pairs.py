@@ -143,12 +143,12 @@ def fit_inner(problem: Problem, pairs: Sequence[Hypothesis], located: Sequence[L
     """The best pairs with either law replaced by those it contains, on top of the other law as the pair left it."""
     seen, found = _settled(pairs), []
     for pair in _distinct(pairs, count):
-        values = pair.coarse.model.parts(pair.coarse.theta)
-        for k, (outer, kept) in enumerate((pair.located, pair.located[::-1])):
+        parts = pair.coarse.model.parts(pair.coarse.theta)
+        for outer, kept, values in zip(pair.located, pair.located[::-1], parts, strict=True):
             inner = [c for c in inner_laws(outer, located) if frozenset((c.key, kept.key)) not in seen]
             seen |= {frozenset((c.key, kept.key)) for c in inner}
             if inner:
-                found += fit_screened(problem, _alone(problem, pair, kept), inner, jobs, outer, values[k])
+                found += fit_screened(problem, _alone(problem, pair, kept), inner, jobs, outer, values)
     return found
 
 

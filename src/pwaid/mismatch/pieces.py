@@ -36,7 +36,7 @@ def holds_in_pieces(problem: Problem, h: Hypothesis, near: float, share: float) 
 
 
 def _left(problem: Problem, fit: Fit, data: Dataset) -> np.ndarray:
-    """Mean square of each output relative to the floor's, from the better of two start states per segment."""
+    """Mean square of each output relative to the floor's, from the better of two sets of start states."""
     begun = fit.X[data.segments[:, 0], :fit.model.nx]
     fits = [fit_starts(fit.model, data, problem.sigma, fit.theta, X0, problem.ranges)
             for X0 in (problem.measured(data), begun)]

@@ -13,7 +13,7 @@ from collections.abc import Mapping
 import control
 
 from pwaid.mismatch import repaired_parts as parts
-from pwaid.mismatch.engine import BRIEF
+from pwaid.mismatch.engine import INSTANT
 from pwaid.mismatch.hypotheses import Hypothesis
 from pwaid.mismatch.lawsource import FUNCTIONS, Law, law_functions
 from pwaid.mismatch.model import Model
@@ -157,7 +157,7 @@ def _simulator(model: Model, laws) -> str:
     laws = [laws[k] for k in model.order]
     dry = [law for law in laws if law.located.effect.proximal]
     delayed = [law for law in laws if law.located.effect.delays]
-    rates_shown = s.accelerations() if laws else []
+    rates_shown = s.rates_shown if laws else ()
     seen = _calls(laws, "seen", "t, {h}, state, seen, inputs, params", 8)
     fill = {
         "NX": len(plant.state_names), "DISCRETE": bool(plant.dt),
@@ -181,7 +181,7 @@ def _simulator(model: Model, laws) -> str:
         fill["DELAYS"] = ", ".join(f"({int(law.located.place.ii[8])}, {law.name.upper()}['delay'])" for law in delayed)
         text += parts.DELAY
     if rates_shown:
-        fill |= {"RATES_SHOWN": rates_shown, "BRIEF": BRIEF,
+        fill |= {"RATES_SHOWN": list(rates_shown), "INSTANT": INSTANT,
                  "RATES_SEEN": _calls(laws, "rates", "t, h, state, inputs_seen, params_seen, rates", 8),
                  "FRICTION_IN_RATES": parts.FRICTION_IN_RATES if dry else ""}
         text += parts.ACCELERATIONS

@@ -178,7 +178,7 @@ ACCELERATIONS = '''
         plain = nominal(t, state, inputs_seen, params_seen)
         rates[:«NX»] = nominal(t, seen, inputs_seen, params_seen)
 «RATES_SEEN»
-        brief = «BRIEF» * h
+        brief = «INSTANT» * h
         moved = state + brief * rates
 «FRICTION_IN_RATES»
         for k, i, gain in rates_shown:

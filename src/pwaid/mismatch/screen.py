@@ -25,7 +25,7 @@ from pwaid.mismatch.structure import Structure
 __all__ = ["Screened", "locate_effects", "other_laws", "overlooked", "run_jobs", "screen", "shortlist"]
 
 ABSORBED = 1e-5  # a small signature of which less than this share is left is a nominal parameter in disguise
-STARTS = 4
+STARTS = 4  # of a candidate that are kept
 APART = 2.0  # over the reach of the position: wavenumbers closer than that are one start
 AGAINST = 0.3  # factor on the score of a law that would have to act against its sign: the null may be bent far
 
@@ -65,8 +65,8 @@ def screen(problem: Problem, fit: Fit, located: Sequence[Located], jobs: int = 1
     def one(candidate: Located) -> Screened:
         """Score one candidate by its best probe."""
         scored, visible = [], 0.0
-        found = signatures.of(candidate)
-        for s in found:
+        probed = signatures.of(candidate)
+        for s in probed:
             visible = max(visible, s.share)
             if s.seen:
                 against = s.dot < 0 and one_signed(candidate)
@@ -76,7 +76,7 @@ def screen(problem: Problem, fit: Fit, located: Sequence[Located], jobs: int = 1
         best = scored[0][0] if scored else 0.0
         if best > 0 and visible < 0.02 and signatures.share_of_small(candidate, scored[0][1]) < ABSORBED:
             best = 0.0
-        starts = _ripple_starts(found) if candidate.effect.id == "position_ripple" else [z for _, z in scored[:STARTS]]
+        starts = _ripple_starts(probed) if candidate.effect.id == "position_ripple" else [z for _, z in scored[:STARTS]]
         return Screened(candidate, best, tuple(np.array(z) for z in starts), visible)
 
     found = run_jobs(one, located, jobs)

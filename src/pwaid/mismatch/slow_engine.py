@@ -15,7 +15,7 @@ from numba import boolean, njit, types
 from numba import float64 as f8
 from numba import int64 as i8
 
-from pwaid.mismatch.engine import BRIEF, _input_at
+from pwaid.mismatch.engine import INSTANT, _input_at
 
 __all__ = ["Variant", "simulate_columns"]
 
@@ -59,7 +59,7 @@ class _Columns:
         self.model, self.plant, self.nx, self.P, self.Q = model, model.settings.plant, model.nx, P, Q
         self.kernels = [_by_columns(model.kernels[e]) for e in range(len(model.located))]
         self.dry = [e for e in range(len(model.located)) if model.proximal[e]]
-        self.shown = model.settings.accelerations()
+        self.shown = model.settings.rates_shown
 
     def part(self, chosen) -> _Columns:
         return self if np.all(chosen) else _Columns(self.model, self.P[chosen], self.Q[:, chosen].copy())
@@ -100,7 +100,7 @@ class _Columns:
 
     def _accelerate(self, t, h, X, XS, U, US, PS, Y):
         """Add to outputs that show the rate of a state what the effects add to that rate (`engine._accelerations`)."""
-        plain, rates, brief = self.plant.derivatives(t, X[:, :self.nx], US, PS), np.zeros_like(X), BRIEF * h
+        plain, rates, brief = self.plant.derivatives(t, X[:, :self.nx], US, PS), np.zeros_like(X), INSTANT * h
         rates[:, :self.nx] = self.plant.derivatives(t, XS[:, :self.nx], US, PS)
         self.effects(2, t, h, X, XS, US, PS, rates)
         W = X + brief * rates

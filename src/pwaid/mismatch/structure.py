@@ -104,6 +104,8 @@ class Structure:
         return [i for i, k in enumerate(self.kinds) if k == "velocity"]
 
     def place(self, kind, signal, variables, ii, v=-1, x=-1, k=-1, j=-1, **more) -> Place:
+        """A place with the scales and units of its speed v, position x, output k and input j (-1: none); `more` adds
+        to them."""
         scales = {"time": self.time_scale, "rate": 1 / self.time_scale, "length": self.length, "kelvin": 1.0}
         units = {"time": {"s": 1}, "rate": {"s": -1}, "length": {"s": 1}, "kelvin": {"K": 1}}
         if v >= 0:
@@ -122,6 +124,7 @@ class Structure:
                      units | more.pop("units", {}), **more)
 
     def force_ii(self, v: int) -> list[int]:
+        """The integers of a place where a force on speed v enters."""
         mode, target, inertia = self.entry[v]
         ii = [0, mode, target, inertia, v, self.position_of(v), -1, -1, -1, -1, 0, 0]
         return ii
@@ -167,9 +170,9 @@ class Structure:
                         -1: (self.high[x], self.low[x] - self.high[x])}[side]
                 name = self.plant.state_names[x]
                 places.append(self.place("state", self.plant.state_names[v], [name], ii, v=v, x=x,
-                                          levels={"position": span},
-                                          note=("both sides", "upper", "lower")[side]
-                                          if sides else ""))
+                                         levels={"position": span},
+                                         note=("both sides", "upper", "lower")[side]
+                                         if sides else ""))
         return places
 
     def angles(self) -> list[Place]:
@@ -196,6 +199,7 @@ class Structure:
                  self.input_rms * rng.normal(size=len(self.input_rms))) for _ in range(count)]
 
     def slope(self, i, j, x, u):
+        """Derivative of the rate of state i by state j at one point."""
         d = max(self.reach(j), 1e-9) * 1e-4
         up, dn = x.copy(), x.copy()
         up[j] += d
@@ -207,8 +211,8 @@ class Structure:
         for v in self.velocities():
             ii = self.force_ii(v)
             places.append(self.place("state", self.plant.state_names[v],
-                                      [f"d{self.plant.state_names[v]}/dt"], ii,
-                                      v=v, constants=(self.mobility.get(v, 1.0),)))
+                                     [f"d{self.plant.state_names[v]}/dt"], ii,
+                                     v=v, constants=(self.mobility.get(v, 1.0),)))
         return places
 
     def velocity_products(self, stretching: bool = False) -> list[Place]:
@@ -234,8 +238,8 @@ class Structure:
                     both = {s: self.state_units[a].get(s, 0) + self.state_units[b].get(s, 0)
                             for s in {*self.state_units[a], *self.state_units[b]}}
                     places.append(self.place("state", names[v], [names[a], names[b], *times], ii, v=v, x=x,
-                                              scales={"speeds": self.reach(a) * self.reach(b)},
-                                              units={"speeds": both}, constants=(factor,)))
+                                             scales={"speeds": self.reach(a) * self.reach(b)},
+                                             units={"speeds": both}, constants=(factor,)))
         return places
 
     def varying_inertias(self) -> list[Place]:
@@ -250,13 +254,13 @@ class Structure:
             constants = (len(shown.speeds), shown.moving, shown.turn, shown.ratio, *nominal, *shown.speeds,
                          *shown.table.ravel(), *(w for _, _, change in shown.changes for w in change.ravel()))
             places.append(self.place("state", self.plant.state_names[shown.speeds[shown.moving]], names, ii,
-                                      constants=tuple(float(c) for c in constants)))
+                                     constants=tuple(float(c) for c in constants)))
         return places
 
     def inputs(self, delays: bool = False, signs: bool = False) -> list[Place]:
         """Every command channel; signs: once for its positive and once for its negative values."""
         return [self.place("input", name, [name], [0, 0, j, -1, -1, -1, -1, -1, j, -1, sign, 0], j=j,
-                            note={1: "positive", -1: "negative"}.get(sign, ""))
+                           note={1: "positive", -1: "negative"}.get(sign, ""))
                 for j, name in enumerate(self.plant.input_names) for sign in ((1, -1) if signs else (0,))]
 
     def loads(self) -> list[Place]:
@@ -271,12 +275,12 @@ class Structure:
                 continue
             ii = [0, 0, j, -1, -1, -1, -1, -1, j, -1, 0, 0]
             places.append(self.place("input", name, [], ii, j=j,
-                                      scales={"force": float(self.input_max[j]) or 1.0},
-                                      units={"force": self.input_units[j]}))
+                                     scales={"force": float(self.input_max[j]) or 1.0},
+                                     units={"force": self.input_units[j]}))
         nu = len(self.plant.input_names)
         for j, (name, unit) in enumerate(zip(self.plant.force_names, self.plant.force_units, strict=True)):
             places.append(self.place("force", name, [], [0, 0, nu + j, -1, -1, -1, -1, -1, -1, -1, 0, 0],
-                                      scales={"force": self.hook_scale[j]}, units={"force": parse_unit(unit)}))
+                                     scales={"force": self.hook_scale[j]}, units={"force": parse_unit(unit)}))
         return places
 
     def outputs(self, sides: bool = False, variant: int = 0, unsigned: bool = False) -> list[Place]:
@@ -294,7 +298,7 @@ class Structure:
             for side, span in options:
                 ii = [0, 0, 0, -1, -1, -1, -1, k, -1, -1, side, 0]
                 places.append(self.place("output", name, [name], ii, k=k, levels={"output": span},
-                                          note=("both sides", "upper", "lower")[side] if sides else ""))
+                                         note=("both sides", "upper", "lower")[side] if sides else ""))
         return places
 
     def drifting_parameters(self) -> list[Place]:
@@ -302,5 +306,5 @@ class Structure:
             return []  # its parameters hold for a whole call
         names = list(self.plant.parameters)
         return [self.place("parameter", name, ["t"],
-                            [0, 0, 0, -1, -1, -1, -1, -1, -1, -1, names.index(name), 0])
+                           [0, 0, 0, -1, -1, -1, -1, -1, -1, -1, names.index(name), 0])
                 for name in self.free if name in names]

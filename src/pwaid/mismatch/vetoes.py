@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from pwaid.mismatch.floor import white_level
-from pwaid.mismatch.hypotheses import Hypothesis, floor_square, mean_square, without
+from pwaid.mismatch.hypotheses import Hypothesis, mean_square, share, without
 from pwaid.mismatch.nullfit import Problem
 
 __all__ = ["at_bound", "outside", "veto"]
@@ -105,9 +105,8 @@ def _yields(h: Hypothesis, located, position: float) -> bool:
 def _removes_all(problem: Problem, h: Hypothesis) -> bool:
     """Whether no more than a hundredth of the null's error above the floor is left, in training and held out: a stop of
     rubber may be soft, a spring is not imitated so well."""
-    floor = floor_square(problem)
-    return all(error - floor < _REST * (mean_square(problem, null, data) - floor) for error, null, data in (
-        (h.train_error, problem.null, problem.train), (h.test_error, problem.null_test, problem.test)))
+    trained = share(problem, h.train_error, mean_square(problem, problem.null, problem.train))
+    return min(h.share, trained) > 1.0 - _REST
 
 
 def _beyond(problem: Problem, h: Hypothesis, located, limit: float) -> bool:
