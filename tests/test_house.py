@@ -13,6 +13,7 @@ SOURCE = Path(pwaid.__file__).parent
 
 # A file may import only from lines above its own; files on one line may import each other's folder siblings.
 ORDER = [
+    ["_kernel_cache"],
     ["_version"],
     ["errors"],
     ["tables"],

@@ -16,6 +16,7 @@ True
 
 from typing import Any
 
+from pwaid import _kernel_cache  # noqa: F401 - first, before any module loads what it compiled earlier
 from pwaid._version import __version__
 from pwaid.delaunay import MeshQuality, SimplexMesh
 from pwaid.dynamics import NARX, PWASystem
