@@ -44,3 +44,11 @@ def test_an_output_that_converts_tells_the_unit_of_its_state():
     assert scaled_unit("deg/s", -180 / math.pi) == {"rad": 1, "s": -1}
     assert scaled_unit("bar", 1e-5) == {"Pa": 1} and scaled_unit("L/min", 6e4) == {"m": 3, "s": -1}
     assert scaled_unit("degC", 1.0, -273.15) == {"K": 1} and scaled_unit("degC", 1.0) == {"degC": 1}
+
+
+def test_brackets_powers_and_both_letters_mu():
+    assert parse_unit("N/(m/s)") == parse_unit("N s/m") == {"N": 1, "s": 1, "m": -1}
+    assert parse_unit("V/(rad/s)") == {"V": 1, "rad": -1, "s": 1}
+    assert parse_unit("W/(m^2 K)") == {"W": 1, "m": -2, "K": -1}
+    assert parse_unit("kg/(m*s**2)") == {"kg": 1, "m": -1, "s": -2}
+    assert parse_unit("m**2") == {"m": 2} and parse_unit("\u03bcm") == parse_unit("\u00b5m")

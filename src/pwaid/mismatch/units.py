@@ -45,9 +45,8 @@ def parse_unit(text: str) -> dict[str, int]:
         For a symbol that is not known.
     """
     powers: dict[str, int] = {}
-    plain = text.strip().replace("·", " ").replace("*", " ").replace("²", "^2").replace("³", "^3")
-    plain = plain.replace("(", " ").replace(")", " ")
-    for part, sign in _parts(plain):
+    plain = text.strip().replace("**", "^").replace("*", " ").replace("·", " ").replace("²", "^2").replace("³", "^3")
+    for part, sign in _parts(plain.replace("μ", "µ")):  # the Greek letter as the prefix sign
         for token in part.split():
             match = _TOKEN.fullmatch(token)
             if token in ("1", "-"):
@@ -62,10 +61,21 @@ def parse_unit(text: str) -> dict[str, int]:
 
 
 def _parts(text: str):
-    pieces = text.split("/")
-    yield pieces[0], 1
-    for piece in pieces[1:]:
-        yield piece, -1
+    """Products of symbols, each with 1 where they stand above the line and -1 below it; in "a/(b/c)" c is above."""
+    brackets, sign, part = [1], 1, ""  # the signs that open brackets have
+    for letter in text:
+        if letter not in "/()":
+            part += letter
+            continue
+        yield part, sign
+        part = ""
+        if letter == "/":
+            sign = -brackets[-1]
+        elif letter == "(":
+            brackets.append(sign)
+        elif len(brackets) > 1:
+            sign = brackets.pop()
+    yield part, sign
 
 
 def check_unit(text: str) -> str:
