@@ -12,7 +12,7 @@ from tests_support import TRUE, oscillator, record
 
 from pwaid.errors import InputError
 from pwaid.mismatch import effects_table, explain, explain_case
-from pwaid.mismatch.case import write_case
+from pwaid.mismatch.case import load_case, write_case
 
 SIMULATOR = '''"""Mass, spring, damper."""
 import control
@@ -82,6 +82,18 @@ def test_a_right_simulator_agrees(clean_recordings):
     report = explain(oscillator(**TRUE), clean_recordings[:2], clean_recordings[2:], FREE,
                      without=("position_ripple",))
     assert report.verdict == "agreement"
+
+
+def test_recordings_of_one_name_in_several_folders_are_told_apart(tmp_path, clean_recordings):
+    names = [f"run{k}/log.csv" for k in range(4)]
+    for name in names:
+        (tmp_path / name).parent.mkdir()
+    recordings = dict(zip(names, [*clean_recordings, record(9)], strict=True))
+    write_case(tmp_path, SIMULATOR, {n: recordings[n] for n in names[:2]}, {n: recordings[n] for n in names[2:]}, FREE,
+               extra='repeats = [["run0/log.csv", "run1/log.csv"]]')
+    found = load_case(tmp_path)
+    assert [r.name for r in (*found.train, *found.test)] == names
+    assert found.repeats == (("run0/log.csv", "run1/log.csv"),)
 
 
 def test_every_id_of_the_contract_is_in_the_catalogue():

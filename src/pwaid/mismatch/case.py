@@ -86,7 +86,7 @@ def load_case(folder) -> Case:
     def read(name, columns=inputs):
         try:
             return Recording.from_csv(folder / name, list(columns), list(outputs), time=table.get("time", "t"),
-                                      units=units)
+                                      units=units).replace(name=name)
         except InputError as error:
             raise InputError(str(error) if name in str(error) else f"{name}: {error}") from error
 
