@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import control
 import numpy as np
+from tests_support import oscillator, record
 
 from pwaid.mismatch.decide import at_floor
 from pwaid.mismatch.effects.registry import effect_by_id
@@ -59,3 +60,12 @@ def test_a_friction_is_found_in_segments_and_judged_on_whole_recordings():
     assert len(evidence.problem.train.segments) == 2
     assert best.share > 0.99
     assert abs(best.values()[0][0] - 0.04) < 0.002
+
+
+def test_a_recording_at_rest_makes_no_motion_sensitive():
+    moving = [record(seed, samples=500) for seed in (1, 2, 3)]
+    rest = moving[1].replace(inputs=np.full_like(moving[1].inputs, 0.3), outputs=np.full_like(moving[1].outputs, 0.1),
+                             name="rest")
+    for train, test in (([moving[0], rest], [moving[2]]), (moving[:2], [moving[2], rest])):
+        problem = collect(oscillator(), train, test, ["m", "b", "k"], effects=effect_by_id("cubic_stiffness")).problem
+        assert len(problem.train.segments) == len(train) and not any("sensitive" in note for note in problem.notes)

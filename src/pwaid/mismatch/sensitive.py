@@ -17,6 +17,7 @@ from pwaid.mismatch.startscan import best_starts
 __all__ = ["LOST", "SHORTEST", "follows", "steadied"]
 
 LOST = 0.5  # of an output's standard deviation
+RESTS = 0.1  # of its spread over all recordings: where an output moves less it all but rests
 FOLLOWED = 1.3  # mean square of what is left, relative to the floor's, below which nothing is missing
 SLIGHT = 0.01  # of a state's range: a move of its start that a motion should outlive
 SHORTEST = 40  # samples of a segment
@@ -29,8 +30,13 @@ def follows(problem, fit: Fit, data: Dataset) -> bool:
 
 
 def _off(Y, data: Dataset, beside) -> bool:
-    """Whether two simulations, or one and the recordings, differ by much of an output's spread in some segment."""
-    return any(np.any(np.std((Y - beside)[a:b], axis=0) > LOST * np.std(data.Y[c:d], axis=0))
+    """Whether two simulations, or one and the recordings, differ by much of an output's spread in some segment.
+
+    A recording in which an output all but rests is measured by its spread in the others.
+    """
+    whole = np.std(data.Y, axis=0)
+    whole[whole == 0.0] = np.inf  # an output that never moves says nothing
+    return any(np.any(np.std((Y - beside)[a:b], axis=0) > LOST * np.maximum(np.std(data.Y[c:d], axis=0), RESTS * whole))
                for a, b, c, d in data.segments[:, :4])
 
 
