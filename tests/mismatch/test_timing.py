@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from types import SimpleNamespace
 
+import control
 import numpy as np
 import pytest
 from scipy.linalg import expm
@@ -12,7 +13,7 @@ from tests_support import TRUE, multisine, oscillator, recorded
 
 from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.effects.registry import effect_by_id
-from pwaid.mismatch.explain import collect
+from pwaid.mismatch.explain import collect, explain
 from pwaid.mismatch.hygiene import _sign
 from pwaid.mismatch.timing import shift_between, timing_notes
 from pwaid.recording import Recording
@@ -94,3 +95,28 @@ def test_a_first_order_hold_is_simulated_as_stated():
         problem = collect(oscillator(), runs[:2], runs[2:], hold=hold, effects=effect_by_id("coulomb_friction")).problem
         error[hold] = np.sqrt(np.mean(problem.null.residual(problem.train) ** 2))
     assert error["first"] < 1.2e-3 < 5e-3 < error["zero"]
+
+
+def test_the_held_out_part_of_the_only_recording_keeps_its_clock():
+    """A simulator that knows a wave of the time is exact, on the last third too."""
+    def force(t, u):
+        return u + np.sin(1.7 * t)
+
+    def update(t, x, u, params):
+        return np.array([x[1], force(t, u[0]) - params["b"] * x[1] - params["k"] * x[0]])
+
+    rng, h = np.random.default_rng(5), 1e-3
+    t = 0.02 * np.arange(1200)
+    u, x, y = multisine(rng, t, 1.5), np.zeros(2), []
+    for start, value in zip(t, u, strict=True):
+        y.append(x[0])
+        for i in range(20):
+            middle = x + h / 2 * update(start + i * h, x, [value], {"b": 0.5, "k": 3.0})
+            x = x + h * update(start + (i + 0.5) * h, middle, [value], {"b": 0.5, "k": 3.0})
+    only = recorded(t, u, np.array(y), 2e-3, rng, 1)
+    simulator = control.nlsys(update, lambda t, x, u, params: x[:1], inputs=["F"], outputs=["x"], states=["x", "v"],
+                              params={"b": 0.5, "k": 3.0})
+    for params in ({}, {"b": 0.55}):
+        simulator.params.update(params)
+        report = explain(simulator, only, None, ["b", "k"], effects=effect_by_id("constant_load"))
+        assert report.verdict == ("parameters_only" if params else "agreement")

@@ -102,12 +102,20 @@ class Dataset:
         """The first samples of every segment, each as a recording of its own."""
         return self.windows([(a, min(a + samples, b)) for a, b in self.segments[:, :2]])[0]
 
+    def after(self, samples: int) -> Dataset:
+        """The same recordings, before which so many samples of each have run."""
+        if not samples:
+            return self
+        clock = np.full((len(self.segments), 1), samples)
+        return replace(self, segments=np.hstack([self.segments[:, :4], clock]))
+
     def and_also(self, other: Dataset) -> Dataset:
         """This data set and another of the same channels and sampling, as one."""
-        behind = other.segments.copy()
+        width = max(self.segments.shape[1], other.segments.shape[1])
+        rows, behind = (np.pad(d.segments, ((0, 0), (0, width - d.segments.shape[1]))) for d in (self, other))
         behind[:, :4] += len(self.U)
         return Dataset(self.names + other.names, np.vstack([self.U, other.U]), np.vstack([self.Y, other.Y]),
-                       np.vstack([self.segments, behind]), self.sample_time, self.before + other.before)
+                       np.vstack([rows, behind]), self.sample_time, self.before + other.before)
 
     def without_start(self, samples: int) -> Dataset:
         """The first samples of every recording left out of the comparison; their inputs are kept as `before`."""

@@ -40,13 +40,13 @@ from pwaid.recording import Recording
 __all__ = ["collect", "collect_case", "conclude", "explain", "explain_case"]
 
 
-def _split(train: Sequence[Recording]) -> tuple[list[Recording], list[Recording]]:
-    """Hold out the last recording, or the last third of the only one."""
+def _split(train: Sequence[Recording]) -> tuple[list[Recording], list[Recording], int]:
+    """Hold out the last recording, or the last third of the only one; and how many samples ran before it."""
     if len(train) > 1:
-        return list(train[:-1]), [train[-1]]
+        return list(train[:-1]), [train[-1]], 0
     only = train[0]
     cut = 2 * len(only.time) // 3
-    return [only[:cut]], [only[cut:].replace(name=f"{only.name}[{cut}:]")]
+    return [only[:cut]], [only[cut:].replace(name=f"{only.name}[{cut}:]")], cut
 
 
 def explain(simulator, train, test=None, free_parameters: Sequence[str] | None = None, *,
@@ -103,8 +103,9 @@ def collect(simulator, train, test=None, free_parameters=None, *, units=None, to
     test = [] if test is None else ([test] if isinstance(test, Recording) else list(test))
     if not train:
         raise InputError("no training recording came; expected at least one")
+    ran = 0
     if not test:
-        train, test = _split(train)
+        train, test, ran = _split(train)
     for name in without:
         effect_by_id(name)
     plant, notes = as_plant(simulator, train[0].input_names, train[0].output_names, source=source), []
@@ -114,7 +115,7 @@ def collect(simulator, train, test=None, free_parameters=None, *, units=None, to
     if controller is not None:
         loop = make_loop(controller, plant, references or {}, train[0].sample_time, [r.name for r in test])
     units = {**train[0].units, **(units or {})}
-    data, held = Dataset.from_recordings(train), Dataset.from_recordings(test)
+    data, held = Dataset.from_recordings(train), Dataset.from_recordings(test).after(ran)
     if plant.black_box is not None:
         plant, data, held, more = prepare_black_box(plant, data, held)
         notes += more

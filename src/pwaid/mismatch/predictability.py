@@ -23,7 +23,7 @@ RIDGE = 0.01  # of the samples: an R² of 0.01 per regressor is not worth fittin
 def _regressors(data: Dataset, fit: Fit, step: int) -> np.ndarray:
     Z = np.hstack([fit.X[:, :fit.model.nx], data.U])
     rows = []
-    for a, b, begin, _ in data.segments:
+    for a, b, begin in data.segments[:, :3]:
         z, t = Z[a:b], ((np.arange(a, b) - begin) * data.sample_time)[:, None]
         columns = [t, t * z]
         for k in range(LAGS):
