@@ -1,12 +1,16 @@
-"""Two laws at once: their order at one reading, and a fine ripple on top of friction."""
+"""Two laws at once: their order at one reading, a fine ripple on top of friction, one law at two places."""
 
 from __future__ import annotations
 
+import control
 import numpy as np
 import pytest
-from tests_support import gathered, record
+from tests_support import gathered, multisine, record
 
 from pwaid.mismatch.decide import decide
+from pwaid.mismatch.effects.registry import effect_by_id
+from pwaid.mismatch.explain import explain
+from pwaid.recording import Recording
 
 
 def clipped_then_drifting(seed: int):
@@ -35,3 +39,36 @@ def test_a_ripple_is_found_on_top_of_friction(size, wavenumber):
     values = dict(zip(decision.chosen.ids, decision.chosen.values(), strict=True))
     assert values["coulomb_friction"][0] == pytest.approx(0.2, rel=0.05)
     assert values["position_ripple"][:2] == pytest.approx([size, wavenumber], rel=0.05)
+
+
+def two_joints(t, x, u, params):
+    torque = params["k"] * (x[0] - x[2])
+    return np.array([x[1], u[0] - torque - params["d"] * x[1], x[3], u[1] + torque - 4.0 * x[2] - params["d"] * x[3]])
+
+
+def joints_with_friction(seed: int, levels=(0.6, 0.5), samples: int = 600, dt: float = 0.02) -> Recording:
+    rng, h = np.random.default_rng(seed), dt / 20
+    t, x, y = np.arange(samples) * dt, np.zeros(4), []
+    u = np.column_stack([1.5 * multisine(rng, t, 1.5) for _ in levels])
+    for now in u:
+        y.append(x[[0, 2]])
+        for _ in range(20):
+            rates = two_joints(0.0, x, now, {"k": 8.0, "d": 0.2})
+            for v, level in zip((1, 3), levels, strict=True):
+                free = x[v] + h * rates[v]
+                x[v] = np.sign(free) * max(abs(free) - h * level, 0.0)
+            x[[0, 2]] += h * x[[1, 3]]
+    y = np.array(y) + 1e-3 * rng.normal(size=(samples, 2))
+    return Recording(t, u, y, ("T1", "T2"), ("q1", "q2"), {"T1": "N m", "T2": "N m", "q1": "rad", "q2": "rad"},
+                     name=f"r{seed}.csv")
+
+
+def test_friction_in_both_joints_is_a_pair():
+    simulator = control.nlsys(two_joints, lambda t, x, u, params: x[[0, 2]], inputs=["T1", "T2"], outputs=["q1", "q2"],
+                              states=["q1", "w1", "q2", "w2"], params={"k": 8.0, "d": 0.2})
+    recordings = [joints_with_friction(seed) for seed in (1, 2, 3)]
+    report = explain(simulator, recordings[:2], recordings[2:], ["k", "d"], effects=effect_by_id("coulomb_friction"))
+    assert report.verdict == "named"
+    found = {e["where"]["signal"]: e["parameters"]["level"]["value"] for e in report.effects}
+    assert found == pytest.approx({"w1": 0.6, "w2": 0.5}, rel=0.02)
+    assert any("coulomb_friction(state:w2).level" in c["values"] for c in report.content["candidates"])

@@ -198,7 +198,8 @@ def _variants(problem, pair, singles, located, jobs):
 
 def _same_knob(a: Located, b: Located) -> bool:
     """Two laws of one id, or one containing the other, at the same place: not a pair."""
-    if a.place.ii[:6] != b.place.ii[:6] and a.effect.id != b.effect.id:
+    elsewhere = a.place.ii[:6] != b.place.ii[:6] and a.effect.id != b.effect.id
+    if elsewhere or a.place.channel != b.place.channel:
         return False
     return (a.effect.id == b.effect.id or b.effect.id in a.effect.contains
             or a.effect.id in b.effect.contains)

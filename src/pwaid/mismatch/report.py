@@ -167,9 +167,13 @@ def _candidates(problem, hypotheses, decision: Decision, output_names):
 
 
 def _values(h: Hypothesis) -> dict[str, float]:
-    """Fitted parameters by name, `id.name` where there are several effects."""
-    several = len(h.located) > 1
-    return {f"{e.effect.id}.{q.name}" if several else q.name: float(v)
+    """Fitted parameters by name, `id.name` where there are several effects, `id(channel).name` where of one id."""
+    several, twice = len(h.located) > 1, len(set(h.ids)) < len(h.ids)
+
+    def said(e) -> str:
+        return f"{e.effect.id}({e.place.channel})." if twice else f"{e.effect.id}." if several else ""
+
+    return {f"{said(e)}{q.name}": float(v)
             for e, part in zip(h.located, h.values(), strict=True)
             for q, v in zip(e.effect.quantities, part, strict=True)}
 
