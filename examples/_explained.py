@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from pwaid.mismatch.lawcurve import law_over
+
 
 def named_laws(report) -> list[tuple]:
     """(effect id, channel, parameters by name) of every effect of the repaired simulator."""
@@ -18,28 +20,20 @@ def friction(report, channel: str, dry: bool = True):
 
     With ``dry`` only dry friction counts; otherwise every law there (drag, one-sided viscous friction, offsets).
     """
-    h, plant = report.best, report.problem.plant
-    p = h.fit.model.parameters(h.fit.theta)
-    laws = [(e, np.concatenate([values, e.place.constants])) for e, values in zip(h.located, h.values(), strict=True)
+    h, names = report.best, report.problem.plant.state_names
+    laws = [(i, e, values) for i, (e, values) in enumerate(zip(h.located, h.values(), strict=True))
             if e.place.channel == channel and (e.effect.family == "dry_friction" or not dry)]
 
-    def force(v: float) -> float:
-        total, (nx, nu, _) = 0.0, plant.sizes
-        for e, q in laws:
-            ii, x, u, dx, column = np.array(e.place.ii), np.zeros(nx), np.zeros(nu), np.zeros(nx), np.zeros(nx)
-            x[ii[4]], column[ii[4]] = v, np.sign(v)  # friction acts against the motion
+    def force(speed):
+        v, total = np.atleast_1d(np.asarray(speed, float)), np.zeros(np.size(speed))
+        for i, e, values in laws:
             if e.effect.memory:
-                total += q[0] * np.sign(v)  # the level that sliding reaches
-            elif e.effect.proximal:
-                e.effect.compiled()(5, 0.0, 0.0, x, column, u, p, dx, ii, q)
-                total -= dx[ii[4]]
+                total += values[0] * np.sign(v)  # the level that sliding reaches
             else:
-                for phase in (1, 2):
-                    e.effect.compiled()(phase, 0.0, 0.0, x, x, u, p, dx, ii, q)
-                total -= np.sum(u) + dx[ii[2]] / report.problem.structure.mobility[ii[4]]
-        return total
+                total -= law_over(report.problem, h, names[e.place.ii[4]], v, i)
+        return total.reshape(np.shape(speed))
 
-    return np.vectorize(force, otypes=[float])
+    return force
 
 
 def outcome(report, test: str, output: str, case) -> dict:

@@ -11,6 +11,7 @@ from pwaid.mismatch.effects.registry import effect_by_id
 from pwaid.mismatch.explain import explain
 from pwaid.mismatch.plant import as_plant
 from pwaid.mismatch.probing import find_structure
+from pwaid.mismatch.vessels import stores
 from pwaid.recording import Recording
 
 
@@ -76,3 +77,33 @@ def test_a_start_state_that_only_the_whole_recording_loses_is_no_missing_physics
     report = explain(cell, recordings[:2], recordings[2:], ["R"],
                      effects=[e for i in ("sensor_offset", "constant_load", "sensor_drift") for e in effect_by_id(i)])
     assert report.verdict == "parameters_only"
+
+
+def test_what_acts_on_a_first_order_model_has_the_unit_of_its_state():
+    def motor(t, x, u, params):
+        return np.array([(params["K"] * u[0] - x[0]) / params["tau"]])
+
+    def driven(t, x, u, params):
+        return np.array([(u[0] - params["d"] * x[0]) / params["J"]])
+
+    for rates, params, unit, force, inertia in ((motor, {"K": 10.0, "tau": 0.3}, "V", {"rad": 1, "s": -1}, {"s": 1}),
+                                                (driven, {"J": 0.5, "d": 1.0}, "N m", {"N": 1, "m": 1},
+                                                 {"kg": 1, "m": 2})):
+        simulator = control.nlsys(rates, lambda t, x, u, params: x, inputs=["u"], outputs=["w"], states=["w"],
+                                  params=params)
+        s = _structure(simulator, [unit], ["rad/s"])
+        assert s.kinds == ("velocity",) and s.entry[0][0] == 1
+        assert (s.force_units[0], s.inertia_units[0]) == (force, inertia)
+
+
+def test_temperatures_are_absolute_by_their_unit():
+    def oven(t, x, u, params):
+        return np.array([params["gain"] * u[0] - (x[0] - 20.0) / 500.0])
+
+    for unit, level, zero in (("degC", 600.0, 273.15), ("K", 900.0, 0.0), ("K", 40.0, 293.15), ("degF", 900.0, 459.67)):
+        plant = as_plant(control.nlsys(oven, lambda t, x, u, params: x, inputs=["P"], outputs=["T"], states=["T"],
+                                       params={"gain": 1.0}))
+        rng = np.random.default_rng(0)
+        s = find_structure(plant, level + 10.0 * rng.normal(size=(200, 1)), rng.normal(size=(200, 1)),
+                           rng.normal(size=(200, 1)), ["W"], [unit], 0.02, 4.0)
+        assert [place.constants for place in stores(s, "thermal")] == [(zero,)]

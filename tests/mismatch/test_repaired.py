@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from math import tanh
+
 import control
+import numba
 import numpy as np
 import pytest
 from tests_support import oscillator, record
 
+from pwaid.errors import InputError
 from pwaid.mismatch.accelerometers import rates_shown
 from pwaid.mismatch.built import with_arguments
 from pwaid.mismatch.dataset import Dataset
+from pwaid.mismatch.effects.base import Effect, Quantity, push
 from pwaid.mismatch.effects.registry import CATALOGUE
 from pwaid.mismatch.fit import Fit
 from pwaid.mismatch.hypotheses import Hypothesis
@@ -19,6 +24,7 @@ from pwaid.mismatch.probing import find_structure
 from pwaid.mismatch.repaired import repaired_source, repaired_system
 from pwaid.mismatch.screen import locate_effects
 
+STRETCH, TABLE = 1.5, (1.0, 2.0)
 DATA = Dataset.from_recordings([record(1, samples=80)])
 
 
@@ -60,6 +66,11 @@ def lower_level(t, x, u, params):
     return np.array([x[1]])
 
 
+def stepped(rates, dt=0.02):
+    """The same equations as a discrete simulator, one Euler step a sample."""
+    return lambda t, x, u, params: x + dt * rates(t, x, u, params)
+
+
 def _linear(dt):
     A, B = np.array([[0.0, 1.0], [-3.0, -0.4]]), np.array([[0.0], [0.9]])
     if dt:
@@ -85,6 +96,10 @@ PLANTS = {  # simulator, input unit, output unit
                                     outputs=["a"], states=["s", "v"], params={"m": 0.8, "k": 6.0, "b": 0.2}), "N", "g"),
     "linear": (_linear(0.0), "N", "m"),
     "discrete": (_linear(0.02), "N", "m"),
+    "stepped mass": (control.nlsys(stepped(sprung), lambda t, x, u, params: x[:1], inputs=["F"], outputs=["x"],
+                                   states=["x", "v"], params={"m": 0.8, "k": 6.0, "b": 0.2}, dt=0.02), "N", "m"),
+    "stepped tanks": (control.nlsys(stepped(tanks), lower_level, inputs=["pump"], outputs=["level"],
+                                    states=["h1", "h2"], params={"a": 0.3, "b": 0.5, "c": 0.4}, dt=0.02), "V", "m"),
 }
 
 
@@ -139,7 +154,9 @@ def test_the_file_simulates_every_law_as_the_engine_does(name):
 @pytest.mark.parametrize("ids", [("coulomb_friction", "input_play"), ("actuator_lag", "presliding_friction"),
                                  ("input_delay", "coulomb_friction"), ("coulomb_friction", "sensor_lag"),
                                  ("actuator_saturation", "actuator_lag"), ("actuator_lag", "actuator_rate_limit"),
-                                 ("constant_load", "input_play")])
+                                 ("constant_load", "input_play"), ("actuator_saturation", "load_dependent_friction"),
+                                 ("load_dependent_friction", "input_play"), ("missing_inertia", "coulomb_friction"),
+                                 ("coulomb_friction", "compliance"), ("compliance", "viscous_friction")])
 def test_pairs_keep_their_memories_apart(ids):
     _, data, structure, settings = _setting("oscillator")
     everywhere = locate_effects(CATALOGUE, structure)
@@ -183,6 +200,47 @@ def test_parameters_that_build_takes_are_refitted_in_the_file(build):
     space = {"build": build}
     exec(compile(repaired_source(hypothesis, data.sample_time, "# nominal simulator"), "repaired.py", "exec"), space)
     got = space["simulate"](np.arange(len(data.U)) * data.sample_time, data.U, hypothesis.fit.X0[0])
+    np.testing.assert_allclose(got, hypothesis.fit.Y, rtol=1e-8, atol=1e-9)
+
+
+@numba.njit
+def _smooth_sign(x):
+    return tanh(x)
+
+
+def _soft(phase, t, h, x, xs, u, p, dx, ii, q):
+    push(phase, -q[0] * _smooth_sign(x[ii[4]] / (STRETCH * q[1])) * np.exp(-x[ii[4]] ** 2), ii, u, p, dx)
+
+
+def test_a_law_takes_along_what_it_uses_of_its_module():
+    _, data, structure, settings = _setting("oscillator")
+    effect = Effect("soft_friction", "dry_friction", "F = c * tanh(v / (1.5 v0)) * exp(-v^2)",
+                    (Quantity("c", "force", 1e-4, 5.0, (0.4,)), Quantity("v0", "speed", 1e-3, 1.0, (0.05,))), _soft,
+                    lambda s: s.moving(), cached=False)
+    hypothesis = _hypothesis(settings, locate_effects([effect], structure), data)
+    np.testing.assert_allclose(_run_file(hypothesis, PLANTS["oscillator"][0], data), hypothesis.fit.Y, rtol=1e-8,
+                               atol=1e-9)
+
+
+def test_what_cannot_go_into_the_file_is_named():
+    _, data, structure, settings = _setting("oscillator")
+    effect = Effect("strange", "dry_friction", "F = table", (Quantity("c", "force", 1e-4, 5.0, (0.4,)),), _tabled,
+                    lambda s: s.moving(), cached=False)
+    with pytest.raises(InputError, match="_tabled uses 'TABLE' of its module"):
+        _run_file(_hypothesis(settings, locate_effects([effect], structure), data), PLANTS["oscillator"][0], data)
+
+
+def _tabled(phase, t, h, x, xs, u, p, dx, ii, q):
+    push(phase, -q[0] * TABLE[0] * x[ii[4]], ii, u, p, dx)
+
+
+def test_a_right_hand_side_as_simulator_has_its_file_too():
+    plant, data, structure, settings = _setting("oscillator")
+    bare = as_plant(sprung, ("F",), ("s", "v"), {"m": 0.8, "k": 6.0, "b": 0.2})
+    data = Dataset(data.names, data.U, np.repeat(data.Y, 2, axis=1), data.segments, data.sample_time)
+    hypothesis = _hypothesis(Settings(bare, structure.partner, structure.ratio, ("m", "b"), np.full(2, 0.3),
+                                      substeps=2), (), data)
+    got = _run_file(hypothesis, sprung, data)
     np.testing.assert_allclose(got, hypothesis.fit.Y, rtol=1e-8, atol=1e-9)
 
 

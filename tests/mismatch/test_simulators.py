@@ -8,6 +8,7 @@ import pytest
 
 from pwaid.errors import InputError
 from pwaid.mismatch import explain
+from pwaid.mismatch.built import with_arguments
 from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.effects.registry import effect_by_id
 from pwaid.mismatch.model import Model, Settings
@@ -94,3 +95,19 @@ def test_texts_and_arrays_in_params_are_kept():
     assert list(plant.parameters) == ["spare"] and plant.rhs is not None
     assert plant.derivative([0.5], [1.0])[0] == pytest.approx(1.0 - 1.75)
     assert sum("kept as it is" in n for n in plant.notes) == 3
+
+
+def test_whole_numbers_that_count_something_are_kept():
+    def update(t, x, u, params):
+        return [u[0] - params["k"] * sum(x[0] ** i for i in range(1, params["order"]))]
+
+    plant = as_plant(control.nlsys(update, lambda t, x, u, params: x, inputs=["u"], outputs=["x"], states=["x"],
+                                   params={"order": 4, "k": 3}))
+    assert dict(plant.parameters) == {"k": 3.0} and plant.constants == {"order": 4}
+
+    def build(n=2, k=3.0):
+        A = np.diag(np.full(n - 1, 1.0), 1) - k * np.eye(n)
+        return control.ss(A, np.ones((n, 1)), np.ones((1, n)), 0, inputs=["u"], outputs=["y"])
+
+    plant = with_arguments(as_plant(build()), build, ["k"])
+    assert dict(plant.parameters) == {"k": 3.0} and plant.sizes == (2, 1, 1)

@@ -55,7 +55,7 @@ def test_filter_agrees_with_batch_least_squares(monkeypatch):
     n, a, r, q = 30, 0.9, 0.1, 0.04
     rng = np.random.default_rng(0)
     y = rng.normal(size=n)
-    line = Linearised(np.zeros((n, 1)), np.zeros((n, 1)), y[:, None], np.full((n, 1, 1), a), np.zeros((n, 1, 1)),
+    line = Linearised(np.zeros((n, 1)), np.zeros((n, 1)), y[:, None], np.full((n, 1, 1), a - 1), np.zeros((n, 1, 1)),
                       np.ones((n, 1, 1)), np.zeros((n, 1, 1)), np.array([[0, n]]), np.arange(n) * 1.0,
                       np.array([r]), 1.0, True)
     scale = np.sqrt(q)

@@ -78,13 +78,14 @@ def test_a_clipped_reading_may_pass_its_limit_by_slow_noise_but_not_by_more():
 def test_a_size_that_vanishes_beside_another_is_not_at_a_bound():
     evidence = gathered([record(s, level=0.06) for s in (1, 2, 3)], "stribeck_friction")
     best = min((h for h in evidence.singles if h.ids == ("stribeck_friction",)), key=lambda h: h.train_error)
-    low, high = best.fit.model.bounds(1.0)
+    step = evidence.problem.train.sample_time
+    low, high = best.fit.model.bounds(step)
     names, n = [q.name for q in best.located[0].effect.quantities], best.fit.model.np
 
     def moved(name, to):
         theta = best.fit.theta.copy()
         theta[n + names.index(name)] = to[n + names.index(name)]
-        return at_bound(replace(best, fit=replace(best.fit, theta=theta)))
+        return at_bound(replace(best, fit=replace(best.fit, theta=theta)), step)
 
     assert moved("excess", low) == [] and moved("excess", high) == ["excess"]
     assert moved("stribeck_speed", low) == ["stribeck_speed"]

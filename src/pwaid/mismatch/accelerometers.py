@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
-
 import numpy as np
 
 from pwaid.mismatch.structure import Structure, on_line
@@ -21,8 +19,7 @@ def rates_shown(s: Structure) -> tuple[tuple[int, int, float], ...]:
         return ()
     points, found = s.points(12), []
     rates, outputs = (np.array([f(x, u) for x, u in points]) for f in (s.plant.derivative, s.plant.outputs))
-    for k, v in itertools.product(range(outputs.shape[1]), s.velocities()):
-        line = on_line(rates[:, v], outputs[:, k]) if s.output_state[k] < 0 else None
-        if line is not None:
-            found.append((k, v, line[0]))
+    for k in (k for k, state in enumerate(s.output_state) if state < 0):
+        lines = ((v, on_line(rates[:, v], outputs[:, k])) for v in s.velocities())
+        found += [(k, v, line[0]) for v, line in lines if line is not None][:1]  # of two in proportion one will do
     return tuple(found)

@@ -53,8 +53,9 @@ def stretched(problem: Problem, h: Hypothesis, t: Thresholds) -> str:
     left = over_floor(problem, h.test.Y, t)
     if np.all(left < t.left):
         return ""
-    if at_bound(h):
-        return f"{at_bound(h)[0]} went to its bound and the error is not at the floor"
+    bound = at_bound(h, problem.train.sample_time)
+    if bound:
+        return f"{bound[0]} went to its bound and the error is not at the floor"
     if outside(h, t.reach):
         return f"{outside(h, t.reach)[0]} had to leave its tolerance and the error is not at the floor"
     null = over_floor(problem, problem.null_test.Y, t)

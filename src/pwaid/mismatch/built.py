@@ -13,7 +13,7 @@ import control
 import numpy as np
 
 from pwaid.mismatch.interconnected import equations
-from pwaid.mismatch.plant import Plant, checked
+from pwaid.mismatch.plant import Plant, checked, whole_or_real
 from pwaid.mismatch.realise import realise
 from pwaid.mismatch.symbolic import Symbol
 
@@ -33,6 +33,13 @@ def with_arguments(plant: Plant, build: Callable, free: Sequence[str] | None) ->
     meant = any(n in arguments for n in unknown) if free is not None else bool(plant.linear and arguments)
     if not meant or plant.black_box is not None:
         return plant
+    fixed = {n: v for n, v in arguments.items() if n not in (free or ())}
+    return whole_or_real(lambda whole: _around(
+        plant, build, {n: float(v) for n, v in arguments.items() if n not in whole}), fixed)
+
+
+def _around(plant: Plant, build: Callable, arguments: dict[str, float]) -> Plant:
+    """The plant around build() with these arguments as parameters."""
     own = {} if plant.linear else {n: v for n, v in plant.parameters.items() if n not in arguments}
     known: dict[tuple, tuple] = {}
 
@@ -62,11 +69,11 @@ def with_arguments(plant: Plant, build: Callable, free: Sequence[str] | None) ->
                          arguments=tuple(arguments)))
 
 
-def _numbers(build: Callable) -> dict[str, float]:
+def _numbers(build: Callable) -> dict[str, int | float]:
     """The arguments of build() whose defaults are numbers."""
     try:
         signature = inspect.signature(build)
     except (TypeError, ValueError):
         return {}
-    return {n: float(p.default) for n, p in signature.parameters.items()
+    return {n: p.default for n, p in signature.parameters.items()
             if isinstance(p.default, int | float | np.number) and not isinstance(p.default, bool)}

@@ -1,6 +1,7 @@
 """The compiled simulation loop: a plant, up to three injected effects, many recordings in one call.
 
-One stage of the plant is ``rhs(t, x, u, p, dx)``; an effect is one function called at five phases:
+One stage of the plant is ``rhs(t, x, u, p, dx)``, derivatives or the next states of a discrete plant, which are turned
+into changes per second; an effect is one function called at seven phases:
 
 ====== ===================================================================================
 phase  what the effect may do
@@ -11,6 +12,7 @@ phase  what the effect may do
 3      at a sample: change the outputs (``dx`` holds y)
 4      after the substep, near rest: dry friction as a proximal step (``dx``: mobility column)
 5      while sliding: dry friction as a force of known sign (``xs``: mobility column along the motion)
+6      what it makes of a mobility column ``dx`` of the plant's: a mass that it adds or uncouples
 ====== ===================================================================================
 
 While a body slides, dry friction is a force of fixed sign inside the Runge-Kutta step: that of the
@@ -74,11 +76,14 @@ def still(t, x, u, p, out):
 
 
 @njit(
-    types.void(RHS_TYPE, f8, _V, _V, _V, _V, i8[::1], _V, _V, _V, _V),
+    types.void(RHS_TYPE, f8, f8, _V, _V, _V, _V, i8[::1], _V, _V, _V, _V),
     cache=True, nogil=True, error_model="numpy",
 )
-def _mobility(rhs, t, x, u, p, col, ii, head, base, us, xs):
-    """Acceleration per unit force at the place ii describes, into col; head is its first nx numbers, xs the plant's."""
+def _mobility(rhs, t, step, x, u, p, col, ii, head, base, us, xs):
+    """Acceleration per unit force at the place ii describes, into col; head is its first nx numbers, xs the plant's.
+
+    `step`: seconds over which the plant's rhs is a change, 1 for derivatives.
+    """
     for i in range(col.size):
         col[i] = 0.0
     if ii[1] != 1:
@@ -90,7 +95,7 @@ def _mobility(rhs, t, x, u, p, col, ii, head, base, us, xs):
         us[ii[2]] += 1.0 if ii[1] == 0 else -1.0
         rhs(t, xs, us, p, head)
         for i in range(xs.size):
-            head[i] -= base[i]
+            head[i] = (head[i] - base[i]) / step
     elif ii[3] >= 0:
         col[ii[2]] = 1.0 / p[ii[3]]
     else:
@@ -157,13 +162,19 @@ def _accelerations(rhs, e0, e1, e2, ne, nx, t, h, x, xs, u, us, p, ps, II, Q, pr
     for e in range(ne):
         if proximal[e] > 0:
             column = np.zeros(nt)
-            _mobility(rhs, t, x, u, p, column, II[e], column[:nx], np.zeros(nx), np.zeros(u.size), np.zeros(nx))
+            _mobility(rhs, t, 1.0, x, u, p, column, II[e], column[:nx], np.zeros(nx), np.zeros(u.size), np.zeros(nx))
+            if proximal[0] == 0:
+                e0(6, t, brief, x, xs, us, ps, column, II[0], Q[0])
+            if ne > 1 and proximal[1] == 0:
+                e1(6, t, brief, x, xs, us, ps, column, II[1], Q[1])
+            if ne > 2 and proximal[2] == 0:
+                e2(6, t, brief, x, xs, us, ps, column, II[2], Q[2])
             if e == 0:
-                e0(4, t, brief, w, x, u, p, column, II[e], Q[e])
+                e0(4, t, brief, w, x, us, ps, column, II[e], Q[e])
             elif e == 1:
-                e1(4, t, brief, w, x, u, p, column, II[e], Q[e])
+                e1(4, t, brief, w, x, us, ps, column, II[e], Q[e])
             else:
-                e2(4, t, brief, w, x, u, p, column, II[e], Q[e])
+                e2(4, t, brief, w, x, us, ps, column, II[e], Q[e])
     for i in range(y.size):
         if shown[i] >= 0:
             y[i] += gain[i] * ((w[shown[i]] - x[shown[i]]) / brief - plain[shown[i]])
@@ -219,7 +230,7 @@ def _loop(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, dis
     h0, h1, h2 = m0[:nx], m1[:nx], m2[:nx]
     xh, xsh, kh, toth = x[:nx], xs[:nx], k[:nx], total[:nx]
     h, failed = Ts / S, 0
-    stages = 1 if discrete > 0 else 4
+    stages, per = (1, Ts) if discrete > 0 else (4, 1.0)
     any_prox = False
     for e in range(ne):
         if proximal[e] > 0:
@@ -282,11 +293,23 @@ def _loop(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, dis
                             sliding = False
                     while True:  # a second time, not sliding, where a piece holds an event
                         if p0:
-                            _mobility(rhs, ts, x, u, p, m0, i0, h0, toth, us, xsh)
+                            _mobility(rhs, ts, per, x, u, p, m0, i0, h0, toth, us, xsh)
+                            if ne > 1 and not p1:
+                                e1(6, ts, hh, x, xs, u, p, m0, i1, q1)
+                            if ne > 2 and not p2:
+                                e2(6, ts, hh, x, xs, u, p, m0, i2, q2)
                         if p1:
-                            _mobility(rhs, ts, x, u, p, m1, i1, h1, toth, us, xsh)
+                            _mobility(rhs, ts, per, x, u, p, m1, i1, h1, toth, us, xsh)
+                            if not p0:
+                                e0(6, ts, hh, x, xs, u, p, m1, i0, q0)
+                            if ne > 2 and not p2:
+                                e2(6, ts, hh, x, xs, u, p, m1, i2, q2)
                         if p2:
-                            _mobility(rhs, ts, x, u, p, m2, i2, h2, toth, us, xsh)
+                            _mobility(rhs, ts, per, x, u, p, m2, i2, h2, toth, us, xsh)
+                            if not p0:
+                                e0(6, ts, hh, x, xs, u, p, m2, i0, q0)
+                            if not p1:
+                                e1(6, ts, hh, x, xs, u, p, m2, i1, q1)
                         if sliding:
                             if p0:
                                 _turn(m0, i0[4], start[i0[4]])
@@ -334,6 +357,9 @@ def _loop(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, dis
                             if ne > 2:
                                 e2(1, ts + ahead, hh, w, xs, us, ps, k, i2, q2)
                             rhs(ts + ahead, xsh, us, ps, kh)
+                            if discrete > 0:
+                                for i in range(nx):
+                                    k[i] = (k[i] - xs[i]) / Ts
                             if ne > 0:
                                 e0(2, ts + ahead, hh, w, xs, us, ps, k, i0, q0)
                             if ne > 1:
@@ -351,7 +377,7 @@ def _loop(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, dis
                                 total[i] += weight * k[i]
                         if discrete > 0:
                             for i in range(nt):
-                                x[i] = k[i] if i < nx else x[i] + Ts * k[i]
+                                x[i] += Ts * k[i]
                         else:
                             for i in range(nt):
                                 x[i] += hh / 6.0 * total[i]
@@ -364,11 +390,11 @@ def _loop(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, dis
                                 for i in range(nt):
                                     k[i] = work[11 + e, i]
                                 if e == 0:
-                                    e0(4, ts, hh, x, before, u, p, k, i0, q0)
+                                    e0(4, ts, hh, x, before, us, ps, k, i0, q0)
                                 elif e == 1:
-                                    e1(4, ts, hh, x, before, u, p, k, i1, q1)
+                                    e1(4, ts, hh, x, before, us, ps, k, i1, q1)
                                 else:
-                                    e2(4, ts, hh, x, before, u, p, k, i2, q2)
+                                    e2(4, ts, hh, x, before, us, ps, k, i2, q2)
                             if discrete == 0:
                                 for i in range(nx):  # the friction force acted during the whole substep
                                     j = partner[i]

@@ -51,10 +51,10 @@ def shown_inertia(structure) -> list[ShownInertia]:
 
     Parameters
     ----------
-    structure : pwaid.mismatch.structure.Structure of a continuous-time plant.
+    structure : pwaid.mismatch.structure.Structure
     """
     s, speeds = structure, tuple(structure.velocities())
-    if s.plant.dt or not 1 <= len(speeds) <= 6:
+    if not 1 <= len(speeds) <= 6:
         return []
     found = []
     for moving, v in enumerate(speeds):

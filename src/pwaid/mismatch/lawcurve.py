@@ -10,19 +10,20 @@ from pwaid.mismatch.nullfit import Problem
 __all__ = ["law_over"]
 
 
-def law_over(problem: Problem, hypothesis: Hypothesis, variable: str, z: np.ndarray) -> np.ndarray | None:
-    """What the first effect adds, as a force or a change of its input, with `variable` at z and all else zero.
+def law_over(problem: Problem, hypothesis: Hypothesis, variable: str, z: np.ndarray, index: int = 0
+             ) -> np.ndarray | None:
+    """What one of the effects adds, as a force or a change of its input, with `variable` at z and all else zero.
 
     None for laws with memory, for sensors, and for variables that are neither state nor input.
     """
-    plant, located = problem.plant, hypothesis.located[0]
+    plant, located = problem.plant, hypothesis.located[index]
     names = (*plant.state_names, *plant.input_names)
     if located.effect.extra_states or located.effect.delays or located.place.kind not in ("state", "input"):
         return None
     if variable not in names:
         return None
     nx, nu, _ = plant.sizes
-    ii, values = np.array(located.place.ii), hypothesis.values()[0]
+    ii, values = np.array(located.place.ii), hypothesis.values()[index]
     q, p = np.concatenate([values, located.place.constants]), hypothesis.fit.model.parameters(hypothesis.fit.theta)
     at, out = names.index(variable), np.empty(len(z))
     kernel, mobility = located.effect.compiled(), problem.structure.mobility.get(int(ii[2]), 1.0)

@@ -23,9 +23,7 @@ import numpy as np
 
 from pwaid.mismatch.model import Located
 
-__all__ = ["FUNCTIONS", "Law", "identifier", "law_functions"]
-
-FUNCTIONS = "from math import cos, erf, exp, floor, sin, sqrt"  # what kernels call
+__all__ = ["Law", "identifier", "law_functions"]
 
 ARRAYS = {"x": "state", "xs": "seen", "u": "inputs", "p": "params", "dx": "rates"}
 ROLES = {  # function suffix: phase, arguments
@@ -34,10 +32,12 @@ ROLES = {  # function suffix: phase, arguments
     "rates": (2, "t, h, state, inputs, params, rates"),
     "sensor": (3, "t, h, state, inputs, params, outputs"),
     "level": (4, "t, h, state, before, inputs, params"),
+    "mobility": (6, "t, h, state, inputs, params, column"),
 }
 SAYS = {"memory": "Update of its memory over a step h.", "seen": "What the nominal equations see.",
         "rates": "What it adds to the derivatives.", "sensor": "What it does to the outputs.",
-        "level": "Size of the friction against the motion."}
+        "level": "Size of the friction against the motion.",
+        "mobility": "What it makes of what a unit of force adds to the derivatives."}
 
 
 @dataclass(frozen=True)
@@ -79,7 +79,7 @@ def law_functions(located: Located, row, values, plant, extra: Sequence[str], ta
     names = [identifier(q.name, used) for q in e.quantities] + [f"constant_{k + 1}" for k in range(len(constants))]
     places = {"state": [*plant.state_names, *extra], "inputs": list(plant.input_names),
               "outputs": list(plant.output_names), "params": list(plant.parameters)}
-    places |= {"seen": places["state"], "rates": places["state"], "before": places["state"]}
+    places |= dict.fromkeys(("seen", "rates", "before", "column"), places["state"])
     listed = any(isinstance(n, ast.Subscript) and isinstance(n.value, ast.Name) and n.value.id == "q"
                  and not isinstance(n.slice, ast.Constant) for n in ast.walk(tree))
     parameters = {"q": np.array(numbers)} if listed else dict(zip(names, numbers, strict=True))
@@ -113,7 +113,7 @@ def _specialise(tree, phase: int, row, names, places) -> list[ast.stmt]:
     body = ast.parse(ast.unparse(tree)).body[0].body
     if body and isinstance(body[0], ast.Expr) and isinstance(body[0].value, ast.Constant):
         body = body[1:]
-    arrays = ARRAYS | ({"xs": "before"} if phase == 4 else {}) | ({"dx": "outputs"} if phase == 3 else {})
+    arrays = ARRAYS | {3: {"dx": "outputs"}, 4: {"xs": "before"}, 6: {"dx": "column"}}.get(phase, {})
     before = None
     while (now := ast.unparse(ast.Module(body, []))) != before:
         before, body = now, _flat(body)

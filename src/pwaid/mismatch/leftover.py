@@ -17,7 +17,7 @@ import numpy as np
 
 from pwaid.mismatch.correction import CORRECTION, curve_place
 from pwaid.mismatch.dataset import Dataset
-from pwaid.mismatch.fit import Fit, jacobian, weighted
+from pwaid.mismatch.fit import Fit, fit_starts, jacobian, weighted
 from pwaid.mismatch.model import Located, Model
 from pwaid.mismatch.noise import NoiseModel, fit_noise
 from pwaid.mismatch.nullfit import Problem
@@ -198,7 +198,8 @@ def _on_stretches(problem: Problem, fit: Fit, held: Fit) -> tuple[Problem, Fit, 
     for data, f in ((problem.train, fit), (problem.test, held)):
         if len(data.U) > LONG:
             data, index = data.windows(evenly(problem, data, LONG))
-            f = part_of(f, data, index)
+            start = part_of(f, data, index).X0  # hidden states begin anew in every stretch
+            f = fit_starts(f.model, data, problem.sigma, f.theta, start, problem.ranges)
         found.append((data, f))
     (train, fit), (test, held) = found
     return replace(problem, train=train, test=test), fit, held

@@ -118,9 +118,9 @@ class Settings:
 
 
 def acting_order(located) -> list[int]:
-    """The order in which laws act: those at an input before forces, which may enter through the same input, as found
-    otherwise."""
-    return sorted(range(len(located)), key=lambda k: located[k].place.kind != "input")
+    """The order in which laws act: those at an input before forces, which may enter through the same input, and those
+    that change what a force accelerates after the forces; as found otherwise."""
+    return sorted(range(len(located)), key=lambda k: (located[k].effect.reshapes, located[k].place.kind != "input"))
 
 
 class Model:

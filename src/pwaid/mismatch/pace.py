@@ -38,7 +38,7 @@ def eigenvalues(plant: Plant, states, inputs) -> tuple[float, float]:
             continue
         eigenvalues = np.linalg.eigvals(J)
         if plant.dt:
-            eigenvalues = np.log(np.maximum(np.abs(eigenvalues), 1e-12)) / plant.dt
+            eigenvalues = np.log(np.maximum(np.abs(1 + plant.dt * eigenvalues), 1e-12)) / plant.dt
         found.append((np.max(eigenvalues.real), np.max(np.abs(eigenvalues))))
     growth, fastest = np.median(found, axis=0) if found else (0.0, 0.0)
     return float(growth), float(fastest)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import control
@@ -17,7 +18,7 @@ from pwaid.mismatch.engine import RHS_TYPE
 from pwaid.mismatch.interconnected import equations_of_parts
 from pwaid.mismatch.realise import realise
 
-__all__ = ["Plant", "as_plant", "called_with_arrays", "checked", "takes_arrays"]
+__all__ = ["Plant", "as_plant", "called_with_arrays", "checked", "takes_arrays", "whole_or_real"]
 
 
 @dataclass(frozen=True)
@@ -70,9 +71,15 @@ class Plant:
         return np.array(list(self.parameters.values()), dtype=float) if self.parameters else np.zeros(1)
 
     def derivative(self, x, u, p=None, t: float = 0.0) -> np.ndarray:
-        """dx/dt (or the next state) at one point."""
+        """dx/dt at one point; of a discrete simulator its change over a step, per second."""
+        return self._rate(np.asarray(x, dtype=float), self._update_at(x, u, self.vector() if p is None else p, t))
+
+    def _rate(self, X, found) -> np.ndarray:
+        """Derivatives from what the update function returned at states X: the next states where it is discrete."""
+        return (found - X) / self.dt if self.dt and self.black_box is None else found
+
+    def _update_at(self, x, u, p, t: float = 0.0) -> np.ndarray:
         x, u = np.asarray(x, dtype=float).copy(), np.asarray(u, dtype=float).copy()
-        p = self.vector() if p is None else p
         if self.rhs is not None:
             dx = np.empty(len(x))
             self.rhs(t, x, u, p, dx)
@@ -99,8 +106,8 @@ class Plant:
             return np.full(size, np.nan)
 
     def derivatives(self, t, X, U, P) -> np.ndarray:
-        """dx/dt (M, nx) at M points: t (M,), X (M, nx), U (M, nu), P (M, n_parameters)."""
-        return self._many(self.update, self.derivative, t, X, U, P, X.shape[1])
+        """`derivative` (M, nx) at M points: t (M,), X (M, nx), U (M, nu), P (M, n_parameters)."""
+        return self._rate(X, self._many(self.update, self._update_at, t, X, U, P, X.shape[1]))
 
     def many_outputs(self, t, X, U, P) -> np.ndarray:
         """y (M, ny) at M points."""
@@ -136,7 +143,7 @@ def takes_arrays(plant: Plant, scale: float, points: int = 40) -> bool:
     X, U = size[:, None] * rng.normal(size=(points, nx)), rng.normal(size=(points, nu))
     P = plant.vector() * rng.uniform(0.9, 1.1, (points, len(plant.vector())))
     with np.errstate(all="ignore"):
-        for function, single, n in ((plant.update, plant.derivative, nx), (plant.output, plant.outputs, ny)):
+        for function, single, n in ((plant.update, plant._update_at, nx), (plant.output, plant.outputs, ny)):
             if function is None:
                 continue
             want = np.array([single(x, u, p, s) for s, x, u, p in zip(t, X, U, P, strict=True)]).reshape(points, n)
@@ -216,11 +223,29 @@ def _from_nonlinear(system: control.NonlinearIOSystem, source: str) -> Plant:
         raise InputError("the simulator has no update function; give control.nlsys(update, output, ...)")
     joined = isinstance(system, control.InterconnectedSystem)
     update, output = equations_of_parts(system) if joined else (system.updfcn, system.outfcn)
-    plant = Plant(update, output, tuple(system.state_labels), tuple(system.input_labels),
-                  tuple(system.output_labels), parameters, constants, dt=_time_step(system), source=source,
-                  notes=tuple(f"parameter {n} of the simulator is {type(v).__name__}: kept as it is"
-                              for n, v in constants.items()))
-    return checked(plant)
+
+    def plant(whole=()):
+        kept = {n: v for n, v in (system.params or {}).items() if n in constants or n in whole}
+        return Plant(update, output, tuple(system.state_labels), tuple(system.input_labels),
+                     tuple(system.output_labels), {n: v for n, v in parameters.items() if n not in kept}, kept,
+                     dt=_time_step(system), source=source,
+                     notes=tuple(f"parameter {n} of the simulator is {type(v).__name__}: kept as it is"
+                                 for n, v in kept.items()))
+
+    return whole_or_real(lambda whole: checked(plant(whole)), system.params or {})
+
+
+def whole_or_real(make: Callable, values: Mapping) -> Plant:
+    """`make(())`; where that fails, `make(names)` with the whole numbers among the values that it takes: they may count
+    something, and are no parameters then."""
+    whole = tuple(n for n, v in values.items() if isinstance(v, int | np.integer) and not isinstance(v, bool))
+    try:
+        return make(())
+    except InputError:
+        for names in (*((n,) for n in whole), whole):
+            with suppress(InputError):
+                return make(names)
+        raise
 
 
 LEVELS = (0.1, 1.0, 0.0, 10.0, 100.0, 300.0, 1e3, 1e5)  # states at which a simulator may be at home

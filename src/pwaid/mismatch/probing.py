@@ -7,8 +7,8 @@ outputs and spread along the kinematic chain.
 
 from __future__ import annotations
 
+import itertools
 import math
-from itertools import permutations
 
 import numpy as np
 
@@ -148,7 +148,7 @@ def _joined_motion(points, states, kinds, low, high):
 def _kinematics(plant, points, low, high):
     nx = plant.sizes[0]
     partner, ratio = -np.ones(nx, dtype=np.int64), np.zeros(nx)
-    if plant.dt:
+    if plant.black_box is not None or (plant.dt and plant.linear):  # their states need not be anything physical
         return partner, ratio
     F = np.array([plant.derivative(x, u) for x, u in points])
     Xs = np.array([x for x, _ in points])
@@ -224,7 +224,7 @@ def _kind_of(i, plant, partner, units, output_state, output_units):
 
 def _relative_speeds(kinds, units, plant, points):
     """The other speed where a state is the difference of two, one of them known: the twist of a shaft, a stretch."""
-    if plant.dt or "velocity" not in kinds:
+    if "velocity" not in kinds:
         return
     F, Xs = np.array([plant.derivative(x, u) for x, u in points]), np.array([x for x, _ in points])
     if np.linalg.matrix_rank(Xs) < Xs.shape[1]:
@@ -275,7 +275,7 @@ def _collocated(gain, speeds, forces) -> dict[int, int]:
     if not 2 <= n <= min(4, len(forces)):
         return {}
     best, found = 0.02, {}
-    for order in permutations(forces, n):
+    for order in itertools.permutations(forces, n):
         B = gain[np.ix_(speeds, order)]
         if np.linalg.norm(B - B.T) <= best * np.linalg.norm(B) and np.all(np.linalg.eigvalsh(B + B.T) > 0):
             best, found = np.linalg.norm(B - B.T) / np.linalg.norm(B), dict(zip(speeds, order, strict=True))
@@ -307,6 +307,21 @@ def _driven(plant, kinds, points, gain) -> np.ndarray:
             if np.all(size > 0):
                 found[i, j] = 1 if np.all(np.abs(np.sum(own * push, axis=1)) > (1 - 1e-5) * size) else -1
     return found
+
+
+def _is_time_constant(plant, i, k, points) -> bool:
+    """Whether parameter k times the rate of state i is minus the state and more, whatever the other parameters are:
+    what acts on it then has the unit of the state."""
+    p = plant.vector()
+    others = p * (1.1 + 0.1 * np.arange(len(p)))
+    others[k] = p[k]
+    for q, (x, u) in itertools.product((p, others), points[:4]):
+        step = np.zeros(len(x))
+        step[i] = 1e-3 * max(abs(x[i]), 1e-3)
+        slope = (plant.derivative(x + step, u, q) - plant.derivative(x - step, u, q))[i] / (2 * step[i])
+        if not abs(p[k] * slope + 1.0) < 1e-6:
+            return False
+    return True
 
 
 def _force_entries(plant, kinds, points, low, high, rms_u, input_units, units):
@@ -348,6 +363,8 @@ def _force_entries(plant, kinds, points, low, high, rms_u, input_units, units):
         if inertia and not (forces and converted):  # of a speed in mm/s, force over inertia is not in its unit
             entry[i] = (1, i, inertia[0])
             mobility[i] = 1.0 / p[inertia[0]]
+            if not forces and _is_time_constant(plant, i, inertia[0], points):
+                funits[i], iunits[i] = units[i], {"s": 1}
         elif forces:
             j = pairs.get(i, max(forces, key=lambda j: abs(gain[i, j])))
             entry[i] = (0 if gain[i, j] > 0 else 2, j, -1)

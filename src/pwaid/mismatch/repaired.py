@@ -15,7 +15,8 @@ import control
 from pwaid.mismatch import repaired_parts as parts
 from pwaid.mismatch.engine import INSTANT
 from pwaid.mismatch.hypotheses import Hypothesis
-from pwaid.mismatch.lawsource import FUNCTIONS, Law, law_functions
+from pwaid.mismatch.lawnames import module_text
+from pwaid.mismatch.lawsource import Law, law_functions
 from pwaid.mismatch.model import Model
 from pwaid.mismatch.plant import Plant
 from pwaid.mismatch.realise import realise
@@ -50,13 +51,15 @@ def repaired_source(hypothesis: Hypothesis, sample_time: float, simulator_source
     model, comments = hypothesis.fit.model, comments or {}
     laws = _laws(hypothesis)
     text = [_header(hypothesis)] if simulator_source is not None else []
-    text.append(f"{FUNCTIONS}\n\nimport control\nimport numpy as np\n")
+    text.append("import control\nimport numpy as np\n")
     if simulator_source is not None:
         text.append(parts.rule("the nominal simulator, unchanged") + without_future(simulator_source).rstrip()
                     + "\n\n\nnominal_build = build\n")
     text.append(parts.rule("what was fitted") + _values(hypothesis, laws, sample_time, comments))
     if laws:
-        text.append(parts.rule("the missing physics") + "\n\n".join(_law_text(law) for law in laws))
+        needed = module_text({law.located.effect.kernel: tuple(law.functions.values()) for law in laws})
+        text.append(parts.rule("the missing physics") + "\n\n\n".join(
+            [*([needed] if needed else []), "\n\n".join(_law_text(law) for law in laws)]))
     text.append(parts.rule("the repaired simulator") + _simulator(model, laws))
     if simulator_source is not None:
         text.append(_build_text(model.settings.plant))
@@ -68,7 +71,13 @@ def _build_text(plant: Plant) -> str:
     """build() of the repaired simulator, and what it needs."""
     if plant.arguments:
         return inspect.getsource(realise) + parts.filled(parts.ARGUMENTS_BUILD, {"ARGUMENTS": plant.arguments})
-    return inspect.getsource(realise) + parts.LINEAR_BUILD if plant.linear else parts.BUILD
+    if plant.linear:
+        return inspect.getsource(realise) + parts.LINEAR_BUILD
+    system = "nominal_build()"
+    if plant.output is None:  # build() gives a right-hand side whose states are the outputs
+        inputs, states = list(plant.input_names), list(plant.state_names)
+        system = f"control.nlsys(nominal_build(), None, inputs={inputs}, outputs={states}, states={states})"
+    return parts.filled(parts.BUILD, {"SYSTEM": system})
 
 
 def _laws(hypothesis: Hypothesis) -> list[Law]:
@@ -76,6 +85,9 @@ def _laws(hypothesis: Hypothesis) -> list[Law]:
     for k, (e, values) in enumerate(zip(model.located, hypothesis.values(), strict=True)):
         laws.append(law_functions(e, model.II[model.order.index(k)], values, model.settings.plant, _memory_names(model),
                                   [law.name for law in laws]))
+    if not any(law.located.effect.proximal for law in laws):
+        for law in laws:
+            law.functions.pop("mobility", None)
     return laws
 
 
@@ -160,7 +172,9 @@ def _simulator(model: Model, laws) -> str:
     rates_shown = s.rates_shown if laws else ()
     seen = _calls(laws, "seen", "t, {h}, state, seen, inputs, params", 8)
     fill = {
-        "NX": len(plant.state_names), "DISCRETE": bool(plant.dt),
+        "NX": len(plant.state_names),
+        "FOUND": f"(found - state[:{len(plant.state_names)}]) / SAMPLE_TIME" if plant.dt else "found",
+        "DISCRETELY": ", changes per second of the discrete simulator" if plant.dt else "",
         "SEEN": seen.replace("{h}", "h"),
         "SEEN_AT_SAMPLE": "        seen = state.copy()\n" + seen.replace("{h}", "0.0") if seen or rates_shown else "",
         "RATES": _calls(laws, "rates", "t, h, state, inputs, params, rates", 8),
@@ -170,7 +184,8 @@ def _simulator(model: Model, laws) -> str:
     text = parts.PLANT
     if dry:
         fill |= {"DRY": _dry(laws, list(plant.parameters)), "SPEED_OF": s.partner.tolist(),
-                 "SPEED_RATIO": s.ratio.tolist()}
+                 "SPEED_RATIO": s.ratio.tolist(),
+                 "MOBILITY": _calls(laws, "mobility", "t, 0.0, state, inputs, params, column", 8)}
         text += parts.FRICTION
     if plant.dt:
         text += parts.DISCRETE_STEP

@@ -8,9 +8,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from pwaid.mismatch.effects import base as effect_base
 from pwaid.mismatch.hypotheses import Hypothesis
-from pwaid.mismatch.lawsource import FUNCTIONS
+from pwaid.mismatch.lawnames import module_text
 from pwaid.mismatch.model import Model
 from pwaid.mismatch.repaired import without_future
 
@@ -38,17 +37,12 @@ def _law_name(located) -> str:
 
 
 def _kernel_source(model: Model) -> str:
-    """Text of the laws of a model and of the helpers they call."""
-    helpers = [effect_base.push, effect_base.slide]
-    parts = [inspect.getsource(f.py_func).split("\n", 1)[1] for f in helpers]
-    done = set()
-    for e in model.located:
-        kernel = e.effect.kernel
-        if kernel not in done:
-            done.add(kernel)
-            parts.append(textwrap.dedent(inspect.getsource(kernel)).replace(
-                f"def {kernel.__name__}(", f"def {_law_name(e)}(", 1))
-    return "\n\n".join(p.strip("\n") + "\n" for p in parts)
+    """Text of the laws of a model and of what they take from their modules."""
+    sources = {e.effect.kernel: textwrap.dedent(inspect.getsource(e.effect.kernel)) for e in model.located}
+    laws = {_law_name(e): sources[e.effect.kernel].replace(
+        f"def {e.effect.kernel.__name__}(", f"def {_law_name(e)}(", 1) for e in model.located}
+    needed = module_text({kernel: (text,) for kernel, text in sources.items()})
+    return "\n\n".join(p.strip("\n") + "\n" for p in (needed, *laws.values()) if p)
 
 
 def _law_rows(hypothesis: Hypothesis, where=lambda located: True) -> list[str]:
@@ -80,7 +74,7 @@ def black_box_source(hypothesis: Hypothesis, sample_time: float, simulator_sourc
     lines = []
     if simulator_source is not None:
         lines += _header(hypothesis, rows)
-    lines += [FUNCTIONS, "", "import numpy as np", ""]
+    lines += ["import numpy as np", ""]
     if simulator_source is not None:
         lines += ["# --- the nominal simulator, unchanged ---", without_future(simulator_source).rstrip(), "",
                   "nominal_build = build", ""]

@@ -31,12 +31,18 @@ def make_repaired(nominal_update, nominal_output, others=None):
     """
     def nominal(t, state, inputs, params):
         params = {**(others or {}), **params}
-        return np.asarray(nominal_update(t, state[:«NX»], inputs, params), dtype=float).ravel()
+        found = np.asarray(nominal_update(t, state[:«NX»], inputs, params), dtype=float).ravel()
+        return «FOUND»
+
+    def through(t, h, state, inputs, params):
+        """The state, inputs and parameters that the nominal equations see."""
+        seen, inputs, params = state.copy(), inputs.copy(), dict(params)
+«SEEN»
+        return seen, inputs, params
 
     def derivative(t, h, state, inputs, params):
-        """Derivatives of all states (the next ones, where the nominal simulator is discrete)."""
-        seen, inputs, params, rates = state.copy(), inputs.copy(), dict(params), np.zeros(state.size)
-«SEEN»
+        """Derivatives of all states«DISCRETELY»."""
+        (seen, inputs, params), rates = through(t, h, state, inputs, params), np.zeros(state.size)
         rates[:«NX»] = nominal(t, seen, inputs, params)
 «RATES»
         return rates
@@ -58,8 +64,7 @@ DISCRETE_STEP = '''
         """One sample of the nominal simulator."""
 «MEMORY_CALLS»
         before = state
-        new = derivative(t, h, state, inputs, params)
-        state = np.concatenate([new[:«NX»], state[«NX»:] + h * new[«NX»:]])
+        state = state + h * derivative(t, h, state, inputs, params)
 «FRICTION_AT_REST»
         return state
 '''
@@ -80,6 +85,7 @@ FRICTION = '''
             column[:«NX»] = nominal(t, state, more, params) - nominal(t, state, inputs, params)
         else:
             column[index] = 1.0 if inertia is None else 1.0 / params[inertia]
+«MOBILITY»
         return column
 
     def pull_towards_rest(h, state, speed, size, column):
@@ -93,7 +99,7 @@ FRICTION = '''
 '''
 
 DISCRETE_FRICTION = '''        for level, values, speed, acts_on in dry_friction:
-            size = level(t, h, state, before, inputs, params, **values)
+            size = level(t, h, state, before, *through(t, h, before, inputs, params)[1:], **values)
             pull_towards_rest(h, state, speed, size, mobility(t, before, inputs, params, acts_on))'''
 
 DRY_STEP = '''
@@ -127,20 +133,20 @@ DRY_STEP = '''
         before = state.copy()
 
         def total(t, state):
-            rates = derivative(t, h, state, inputs, params)
+            rates, given = derivative(t, h, state, inputs, params), through(t, h, state, inputs, params)[1:]
             for (level, values, _, _), column in zip(dry_friction, along if slides else []):
-                rates -= level(t, h, state, state, inputs, params, **values) * column
+                rates -= level(t, h, state, state, *given, **values) * column
             return rates
 
         k1 = total(t, state)
         k2 = total(t + h / 2, state + h / 2 * k1)
         k3 = total(t + h / 2, state + h / 2 * k2)
-        k4 = total(t + h, state + h * k3)
+        k4, given = total(t + h, state + h * k3), through(t + h, h, state + h * k3, inputs, params)[1:]
         state = state + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
         if not slides:
             free = state.copy()
             for (level, values, speed, _), column in zip(dry_friction, columns):
-                size = level(t, h, state, before, inputs, params, **values)
+                size = level(t, h, state, before, *given, **values)
                 pull_towards_rest(h, state, speed, size, column)
             for i, (v, ratio) in enumerate(zip(«SPEED_OF», «SPEED_RATIO»)):  # speed of each position, and their ratio
                 if v >= 0:
@@ -186,7 +192,7 @@ ACCELERATIONS = '''
 '''
 
 FRICTION_IN_RATES = '''        for level, values, speed, acts_on in dry_friction:
-            size = level(t, brief, moved, state, inputs, params, **values)
+            size = level(t, brief, moved, state, inputs_seen, params_seen, **values)
             pull_towards_rest(brief, moved, speed, size, mobility(t, state, inputs, params, acts_on))'''
 
 GIVEN = '''        given = inputs.copy(), dict(params)'''
@@ -238,7 +244,7 @@ UPDATE = '''
 BUILD = '''
 def build():
     """The repaired simulator as a discrete-time control.nlsys."""
-    system = nominal_build()
+    system = «SYSTEM»
     others = {k: v for k, v in (system.params or {}).items() if k not in REFITTED}
     update, output = make_repaired(system.updfcn, system.outfcn, others)
     return control.nlsys(update, output, inputs=list(system.input_labels), outputs=list(system.output_labels),

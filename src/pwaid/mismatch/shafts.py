@@ -83,7 +83,7 @@ def _damped(s: Structure, a: int, b: int, weight_a: float, weight_b: float) -> t
 def _twisted_by(s: Structure, z: int) -> tuple[tuple[int, int], tuple[float, float]] | None:
     """The two speeds, and their weights, of which the rate of this state is the difference; None if it is none."""
     vs = s.velocities()
-    if s.plant.dt or s.kinds[z] in ("velocity", "position") or len(vs) < 2:
+    if s.kinds[z] in ("velocity", "position") or len(vs) < 2:
         return None
     points = s.points(4 + len(vs))
     rates = np.array([s.plant.derivative(x, u)[z] for x, u in points])

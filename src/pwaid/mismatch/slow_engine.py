@@ -81,13 +81,14 @@ class _Columns:
             self.effects(1, t, h, X, XS, US, PS, DX, only=(e,))
 
     def rates(self, t, h, X, U, along, sliding):
+        """Derivatives, and the inputs and parameters that the laws let the plant see."""
         XS, US, PS, DX = X.copy(), U.copy(), self.P.copy(), np.zeros_like(X)
         self.effects(1, t, h, X, XS, US, PS, DX)
         DX[:, :self.nx] = self.plant.derivatives(t, XS[:, :self.nx], US, PS)
         self.effects(2, t, h, X, XS, US, PS, DX)
         for e in self.dry:
             self.effects(5, t, h, X, along[e], US, PS, DX, sliding, (e,))
-        return DX
+        return DX, US, PS
 
     def outputs(self, t, h, Ts, X, U):
         XS, US, PS = X.copy(), U.copy(), self.P.copy()
@@ -105,7 +106,7 @@ class _Columns:
         self.effects(2, t, h, X, XS, US, PS, rates)
         W = X + brief * rates
         for e in self.dry:
-            self.effects(4, t, brief, W, X, U, self.P, self.mobility(t, X, U, self.model.II[e]), only=(e,))
+            self.effects(4, t, brief, W, X, US, PS, self.mobility(t, X, U, self.model.II[e]), only=(e,))
         for k, v, gain in self.shown:
             Y[:, k] += gain * ((W[:, v] - X[:, v]) / brief - plain[:, v])
 
@@ -119,6 +120,8 @@ class _Columns:
             found[:, :self.nx] = (self.plant.derivatives(t, x, push, self.P) - self.plant.derivatives(t, x, U, self.P))
         else:
             found[:, ii[2]] = 1.0 / self.P[:, ii[3]] if ii[3] >= 0 else 1.0
+        others = [e for e in range(len(self.model.located)) if e not in self.dry]
+        self.effects(6, t, 0.0, X, X, U, self.P, found, only=others)
         return found
 
     def substep(self, t, h, X, U, Ts, sliding):
@@ -129,18 +132,18 @@ class _Columns:
                  for e, M in mobility.items()}  # the motion that the substep begins with
         self.remember(t, h, X, U)
         before = X.copy()
-        k1 = self.rates(t, h, X, U, along, sliding)
+        k1, US, PS = self.rates(t, h, X, U, along, sliding)
         if self.plant.dt:
-            X = np.hstack([k1[:, :self.nx], X[:, self.nx:] + Ts * k1[:, self.nx:]])
+            X = X + Ts * k1
         else:
-            k2 = self.rates(t + h / 2, h, X + h / 2 * k1, U, along, sliding)
-            k3 = self.rates(t + h / 2, h, X + h / 2 * k2, U, along, sliding)
-            k4 = self.rates(t + h, h, X + h * k3, U, along, sliding)
+            k2, _, _ = self.rates(t + h / 2, h, X + h / 2 * k1, U, along, sliding)
+            k3, _, _ = self.rates(t + h / 2, h, X + h / 2 * k2, U, along, sliding)
+            k4, US, PS = self.rates(t + h, h, X + h * k3, U, along, sliding)
             X = X + h / 6 * (k1 + 2 * k2 + 2 * k3 + k4)
         if self.dry and not np.all(sliding):
             free = X.copy()
             for e in self.dry:
-                self.effects(4, t, h, X, before, U, self.P, mobility[e].copy(), ~sliding, (e,))
+                self.effects(4, t, h, X, before, US, PS, mobility[e].copy(), ~sliding, (e,))
             for i in range(self.nx if not self.plant.dt else 0):  # the friction force acted during the whole substep
                 j = model.settings.partner[i]
                 if j >= 0:

@@ -30,7 +30,7 @@ GRID = np.geomspace(1e-2, 30.0, 8)  # typical change of d over one time scale, i
 
 @dataclass(frozen=True)
 class Linearised:
-    """The plant along its nominal trajectory at N instants `h` seconds apart.
+    """The plant along its nominal trajectory at N instants `h` seconds apart, its rates of change linearised.
 
     `states` (N, nx), `inputs` (N, nu), `residual` (N, ny), `F` (N, nx, nx), `G` (N, nx, nu), `C` (N, ny, nx),
     `D` (N, ny, nu), `segments` (n, 2), `time` (N,) within the recording, `noise` (ny,) standard deviation.
@@ -51,9 +51,9 @@ class Linearised:
 
     def transition(self, column: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """A (N, nx, nx) and B (N, nx) over one interval, for a d that enters along `column` (N, nx)."""
-        if self.discrete:
-            return self.F, column
         nx = self.F.shape[1]
+        if self.discrete:
+            return np.eye(nx) + self.h * self.F, self.h * column
         M = np.zeros((len(self.F), nx + 1, nx + 1))
         M[:, :nx, :nx], M[:, :nx, nx] = self.F * self.h, column * self.h
         same = bool(np.all(M[0] == M))
@@ -274,7 +274,7 @@ def linearise(problem: Problem, samples: int = SAMPLES) -> Linearised | None:
     every = 1 if plant.dt else max(1, min(most, len(data.Y) // samples))
     left = max(20, int(samples * every * 1.5) // len(data.segments))
     residual, rows, pieces, clock = fit.residual(data), [], [], []
-    for a, b, start, _ in data.segments:
+    for a, b, start in data.segments[:, :3]:
         n = min(int(b - a), left) // every
         if n >= 10:
             pieces.append(a + np.arange(n * every).reshape(n, every))
@@ -334,7 +334,7 @@ def unknown_inputs(problem: Problem, line: Linearised) -> list[Unknown]:
         if kind != "position":
             column, gain = np.zeros((N, nx)), s.mobility.get(i, 1.0)
             column[:, i] = gain
-            size = s.force_scale.get(i, s.reach(i) / (line.h if line.discrete else s.time_scale))
+            size = s.force_scale.get(i, s.reach(i) / s.time_scale)
             places.append((f"state:{s.plant.state_names[i]}", column, np.zeros((N, ny)), size))
     for j, name in enumerate(s.plant.input_names):
         places.append((f"input:{name}", line.G[:, :, j], line.D[:, :, j], float(s.input_rms[j])))

@@ -12,6 +12,7 @@ from pwaid.mismatch.structure import Structure
 __all__ = ["cascades", "outlets", "stores"]
 
 STEP = 1e-4  # relative change of a parameter
+ZEROS = {"degC": 273.15, "°C": 273.15, "C": 273.15, "degF": 459.67}  # what makes a temperature in it absolute
 
 
 def stores(s: Structure, kind: str) -> list[Place]:
@@ -19,15 +20,21 @@ def stores(s: Structure, kind: str) -> list[Place]:
     places = []
     for i in _members(s, kind):
         ii = [0, 1, i, -1, i, -1, -1, -1, -1, -1, 0, 0]
-        typical = 0.5 * (s.low[i] + s.high[i])
-        absolute = typical > 200.0
-        shift = 0.0 if absolute else (293.15 if "K" in s.state_units[i] else 273.15)
-        constants = (shift,) if kind == "thermal" else ()
+        constants = (_zero(s, i),) if kind == "thermal" else ()
         span = (min(s.low[i], 0.0), s.high[i] - min(s.low[i], 0.0))
         levels = {"position": span, "ambient": (s.low[i], s.high[i] - s.low[i])}
         places.append(s.place("state", s.plant.state_names[i], [s.plant.state_names[i]], ii, x=i, levels=levels,
                               units={"ambient": s.state_units[i]}, constants=constants))
     return places
+
+
+def _zero(s: Structure, i: int) -> float:
+    """What makes a temperature absolute: by its unit, and where that is kelvin or not known by its size."""
+    unit = s.state_units[i]
+    known = next((shift for symbol, shift in ZEROS.items() if symbol in unit), None)
+    if known is not None:
+        return known
+    return 0.0 if 0.5 * (s.low[i] + s.high[i]) > 200.0 else (293.15 if "K" in unit else 273.15)
 
 
 def cascades(s: Structure, kind: str) -> list[Place]:
@@ -51,7 +58,7 @@ def outlets(s: Structure) -> list[Place]:
     The derivative of every rate by such a parameter is proportional to the head, whatever the inputs are.
     """
     members = _members(s, "fluid")
-    if not members or s.plant.black_box is not None or s.plant.dt:
+    if not members or s.plant.black_box is not None:
         return []
     points, p = s.points(12), s.plant.vector()
     X = np.array([x for x, _ in points])

@@ -24,9 +24,9 @@ _SPRINGS, _CONSTANT = {"linear_stiffness": 1, "quadratic_stiffness": 2, "cubic_s
 _SOFT = 0.03
 
 
-def at_bound(h: Hypothesis, tolerance: float = 1e-6) -> list[str]:
+def at_bound(h: Hypothesis, sample_time: float, tolerance: float = 1e-6) -> list[str]:
     """Names of effect parameters that ended at a bound. One of several sizes that is zero is no such case."""
-    low, high = h.fit.model.bounds(1.0)
+    low, high = h.fit.model.bounds(sample_time)
     found, k = [], h.fit.model.np
     for e in h.located:
         for q in e.effect.quantities:

@@ -133,6 +133,7 @@ class Effect:
     memory: bool = False
     dissipative: bool = False
     delays: bool = False
+    reshapes: bool = False
     start: str = "zero"
     cached: bool = field(default=True, repr=False)
 

@@ -76,6 +76,9 @@ def gap_to_hidden_load(phase, t, h, x, xs, u, p, dx, ii, q):
         dx[i] = a
         dx[e] = rate
         dx[e + 1] = a - pull
+    elif phase == 6:
+        dx[ii[4]] /= 1.0 - share
+        dx[e + 1] += dx[ii[4]]
     elif phase == 3 and ii[10] == 1:
         dx[ii[7]] -= q[4] * (rate if ii[11] == 1 else twist)
 
@@ -92,13 +95,16 @@ def hidden_mode(phase, t, h, x, xs, u, p, dx, ii, q):
         dx[i] = a
         dx[e] = rate
         dx[e + 1] = a - pull
+    elif phase == 6:
+        dx[ii[4]] /= 1.0 - q[0]
+        dx[e + 1] += dx[ii[4]]
     elif phase == 3 and ii[10] == 1:
         dx[ii[7]] -= q[3] * (rate if ii[11] == 1 else twist)
 
 
 def inertia(phase, t, h, x, xs, u, p, dx, ii, q):
     """F = added_inertia * acceleration; q[1] is 1/nominal inertia when no parameter holds it."""
-    if phase == 2:
+    if phase == 2 or phase == 6:
         g = 1.0 / p[ii[3]] if ii[3] >= 0 else q[1]
         dx[ii[4]] /= 1.0 + q[0] * g
 
@@ -119,15 +125,15 @@ EFFECTS = (
             Quantity("damping_ratio", "1", 0.01, 2.0, (0.3,))),
            gap_to_hidden_load, single_masses, ("compliance", "input_play"),
            "reverse slowly at rest; a constant preload makes it vanish", extra_states=2, memory=True,
-           contains=("compliance",)),
+           contains=("compliance",), reshapes=True),
     Effect("compliance", "transmission", "the load hangs on a spring of the given natural frequency",
            (Quantity("load_share", "1", 0.02, 0.95, (0.3,)),
             Quantity("frequency", "rate", 0.3, 30.0, (1.0, 2.5, 6.0)),
             Quantity("damping_ratio", "1", 1e-3, 1.0, (0.05,))), hidden_mode, single_masses,
            ("input_delay", "actuator_lag", "sensor_lag"), "broadband excitation above the mode",
-           extra_states=2),
+           extra_states=2, reshapes=True),
     Effect("missing_inertia", "inertial", "F = inertia * dv/dt",
            (Quantity("inertia", "inertia", -0.8, 10.0, (0.1, 0.4, 1.0), log=False),), inertia,
            lambda s: s.inertias(), ("linear_stiffness", "actuator_gain_asymmetry"),
-           "change the load by a known amount"),
+           "change the load by a known amount", reshapes=True),
 )
