@@ -117,7 +117,10 @@ class Place:
 
 @dataclass(frozen=True)
 class Effect:
-    """One piece of physics that a simulator may have left out."""
+    """One piece of physics that a simulator may have left out.
+
+    `reshapes`: it changes what forces accelerate, so it acts after them and has a phase 6 for mobility columns.
+    """
 
     id: str
     family: str
