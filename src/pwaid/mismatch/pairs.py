@@ -145,7 +145,8 @@ def fit_inner(problem: Problem, pairs: Sequence[Hypothesis], located: Sequence[L
     for pair in _distinct(pairs, count):
         parts = pair.coarse.model.parts(pair.coarse.theta)
         for outer, kept, values in zip(pair.located, pair.located[::-1], parts, strict=True):
-            inner = [c for c in inner_laws(outer, located) if frozenset((c.key, kept.key)) not in seen]
+            inner = [c for c in inner_laws(outer, located)
+                     if not _same_knob(c, kept) and frozenset((c.key, kept.key)) not in seen]
             seen |= {frozenset((c.key, kept.key)) for c in inner}
             if inner:
                 found += fit_screened(problem, _alone(problem, pair, kept), inner, jobs, outer, values)
@@ -192,7 +193,7 @@ def _variants(problem, pair, singles, located, jobs):
         return []
     others = [c for c in located if c.effect.id == second.effect.id and c.key != second.key
               and c.place.kind == second.place.kind][:3]
-    others += inner_laws(second, located)
+    others = [c for c in others + inner_laws(second, located) if not _same_knob(c, first)]
     return fit_screened(problem, base.coarse, others, jobs)
 
 
