@@ -123,3 +123,14 @@ def test_bad_input(quadratic, arm, tmp_path):
         LPVModel.load(tmp_path / "other.json")
     with pytest.raises(InputError, match="one target and one theta"):
         fit_lpv_minimax(arm.pattern(), KAPPAS, [arm.frozen(0.0)], np.ones((5, 16)), 1)
+
+
+def test_the_nlsys_stays_in_its_range_and_starts_are_checked():
+    model = LPVModel(A=np.array([[[-1.0]], [[-2.0]]]), B=np.array([[[1.0]], [[0.0]]]), C=np.array([[[1.0]], [[0.0]]]),
+                     D=np.zeros((2, 1, 1)), kappa_range=(0.0, 1.0))
+    system, wide = model.to_nlsys(), model.to_nlsys(extrapolate=True)
+    assert system.dynamics(0.0, [1.0], [0.0, -5.0])[0] == pytest.approx(-1.0)
+    assert wide.dynamics(0.0, [1.0], [0.0, -5.0])[0] == pytest.approx(9.0)
+    t = np.arange(20) * 0.01
+    with pytest.raises(InputError, match="expected 1 finite numbers"):
+        model.simulate(t, np.ones(20), np.full(20, 0.5), x0=[1.0, 2.0])

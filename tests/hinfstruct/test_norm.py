@@ -156,3 +156,11 @@ def test_gains_that_climb_by_rounding_end_in_a_wider_certificate(arm, monkeypatc
     norm = hinf_norm(difference(m, as_matrices((A, B, (1 + 1e-10) * C, D))))
     assert norm.iterations >= 5  # five rounds, all in vain
     assert 1e-4 < norm.upper / norm.value - 1 < 1e-3
+
+
+@pytest.mark.parametrize("system, fraction, value", [
+    (control.ss(np.diag([-1.0, -2.0]), np.eye(2), np.diag([-0.5, -0.5]), np.diag([1.0, 0.99])), 0.99, 1.0),
+    (control.ss([[-1.0]], [[1.0]], [[1.0]], [[1.0]]), 0.5, 2.0),
+])
+def test_levels_that_are_singular_values_of_the_feedthrough(system, fraction, value):
+    assert hinf_norm(system, fraction=fraction).value == pytest.approx(value)

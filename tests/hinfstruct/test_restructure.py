@@ -182,3 +182,27 @@ def test_bad_input(arm):
         restructure(stuck, ([[-1.0]], [[1.0]], [[1.0]], [[0.0]]), start=[9.0])
     with pytest.raises(SolverError, match="every start ended in an unstable model"):
         restructure(stuck, ([[-1.0]], [[1.0]], [[1.0]], [[0.0]]))
+
+
+@pytest.mark.parametrize("stiffness", [1.0, 1e5, 1e9])
+def test_the_size_of_the_gain_does_not_matter(stiffness):
+    """A compliance in m/N is 1e-9 beside others in nm/N: the same fit."""
+    def compliance(theta):
+        k, tau = theta
+        return np.array([[-1 / tau]]), np.array([[1 / tau]]), np.array([[1 / k]]), np.array([[0 * k]])
+
+    parameters = [Parameter("k", stiffness, "N/m", low=0.1 * stiffness, high=10 * stiffness),
+                  Parameter("tau", 1e-3, "s", low=1e-4, high=1e-2)]
+    model = StructuredModel.from_function(compliance, parameters)
+    truth = np.array([2 * stiffness, 2e-3])
+    for method in ("prox-linear", "bundle", "lm"):
+        found = restructure(model, model.statespace(truth), rng=0, method=method)
+        np.testing.assert_allclose(found.theta, truth, rtol=1e-6)
+        assert not found.at_bound
+
+
+def test_the_unit_of_a_parameter_does_not_matter():
+    from pwaid.hinfstruct.smooth import parameter_scale
+
+    np.testing.assert_allclose(parameter_scale(np.array([1e5, 2e5, 3e5, 2.0])), [1e5, 2e5, 3e5, 2.0])
+    np.testing.assert_allclose(parameter_scale(np.array([1.0, 2.0, 0.0])), [1.0, 2.0, 1e-3])

@@ -119,7 +119,9 @@ def identifiability(
     _, slope = response_and_slope(model, theta, np.asarray(omega, dtype=float))
     flat = np.moveaxis(slope, 1, -1).reshape(-1, model.size) * parameter_scale(theta) / np.sqrt(len(omega))
     jacobian = np.vstack([flat.real, flat.imag])
-    _, singular, Vt = np.linalg.svd(jacobian, full_matrices=False)
+    few = len(jacobian) < model.size  # then some directions are seen at no frequency
+    _, singular, Vt = np.linalg.svd(jacobian, full_matrices=few)
+    singular = np.pad(singular, (0, model.size - len(singular)))
     rank = int(np.sum(singular > 1e-9 * singular[0]))
     groups = _groups(Vt[rank:], model.names)
     weakest = {n: float(v) for n, v in zip(model.names, Vt[-1], strict=True) if abs(v) > 0.1}

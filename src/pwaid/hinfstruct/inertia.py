@@ -23,7 +23,7 @@ import numpy as np
 
 from pwaid.errors import InputError
 from pwaid.hinfstruct.simulate import check_trajectory
-from pwaid.hinfstruct.statespace import Matrices, freeze, to_control
+from pwaid.hinfstruct.statespace import Matrices, freeze, initial_state, to_control
 from pwaid.hinfstruct.structured import Parameter, StructuredModel
 
 __all__ = ["InertiaLPV", "InertiaStructure"]
@@ -125,7 +125,7 @@ class InertiaLPV:
                 f"the step {dt:.3g} s is too long for a pole of {fastest:.3g} rad/s; "
                 f"sample at {1.5 / fastest:.1e} s or faster"
             )
-        x0 = np.zeros(self.order) if x0 is None else np.array(x0, dtype=float)
+        x0 = initial_state(x0, self.order)
         fine = np.interp(np.arange(2 * time.size - 1) / 2, np.arange(time.size), angle)
         inverse = np.linalg.inv(self.M0 + np.cos(fine)[:, None, None] * self.M1)
         sine = np.sin(fine) if coriolis else np.zeros(fine.size)

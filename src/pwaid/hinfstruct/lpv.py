@@ -182,19 +182,21 @@ class LPVModel:
             self.check_range(kappa)
         return simulate_lpv(self.stacked, time, inputs, kappa, x0=x0, substeps=substeps)
 
-    def to_nlsys(self, name: str = "lpv") -> control.NonlinearIOSystem:
+    def to_nlsys(self, name: str = "lpv", *, extrapolate: bool = False) -> control.NonlinearIOSystem:
         """`control.nlsys` with inputs u1, ..., and the scheduling variable last.
 
-        Outputs y1, ...; states x1, ...
+        Outputs y1, ...; states x1, ... Outside the range of the scheduling variable its nearest end counts, unless
+        the model is to `extrapolate`.
         """
         nu, ny = self.B.shape[2], self.C.shape[1]
+        low, high = (-np.inf, np.inf) if extrapolate else self.kappa_range
 
         def update(t, x, u, params):
-            m = self.matrices(float(u[-1]))
+            m = self.matrices(float(np.clip(u[-1], low, high)))
             return m.A @ x + m.B @ u[:-1]
 
         def output(t, x, u, params):
-            m = self.matrices(float(u[-1]))
+            m = self.matrices(float(np.clip(u[-1], low, high)))
             return m.C @ x + m.D @ u[:-1]
 
         return control.nlsys(

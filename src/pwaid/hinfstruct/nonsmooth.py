@@ -82,7 +82,7 @@ def proximity_bundle(
     planes = _planes(ideal, np.zeros_like(theta), 0.5)
     low, high = problem.bounds
     for _ in range(max_iterations):
-        if value <= target * (1 + 1e-4) or value <= 1e-13:
+        if value <= target * (1 + 1e-4) or value <= 1e-13 * problem.gain:
             return NonsmoothRun(theta, value, 0.0, True, np.array(trace))
         step, model_value, weights = _trial(planes, scale, tau)
         F = value**2

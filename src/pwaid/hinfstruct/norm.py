@@ -232,7 +232,13 @@ class _Gain:
 
 
 def _crossings(m: Matrices, gamma: float) -> np.ndarray:
-    """Imaginary parts, >= 0, of the eigenvalues of H(gamma) that lie on the imaginary axis up to rounding."""
+    """Imaginary parts, >= 0, of the eigenvalues of H(gamma) that lie on the imaginary axis up to rounding.
+
+    H does not exist where gamma is a singular value of D: a slightly lower level is taken there.
+    """
+    singular = np.linalg.svd(m.D, compute_uv=False)
+    while np.any(np.abs(singular - gamma) <= 1e-9 * gamma):
+        gamma *= 1.0 - 1e-7
     R = m.D.T @ m.D - gamma**2 * np.eye(m.D.shape[1])
     S = m.D @ m.D.T - gamma**2 * np.eye(m.D.shape[0])
     F = m.A - m.B @ np.linalg.solve(R, m.D.T @ m.C)

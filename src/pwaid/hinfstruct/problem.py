@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 import scipy.optimize
@@ -100,6 +101,13 @@ class MatchingProblem:
     @property
     def size(self) -> int:
         return self.models[0].size
+
+    @cached_property
+    def gain(self) -> float:
+        """The largest gain of the targets at zero, infinity and their poles: what an error is small beside."""
+        found = [np.abs(frequency_response(t, np.unique(np.abs([0.0, *t.poles, np.inf])))) for t in self.targets]
+        found = [g[np.isfinite(g)].max(initial=0.0) for g in found]
+        return float(max(found)) or 1.0
 
     @property
     def bounds(self) -> tuple[np.ndarray, np.ndarray]:
@@ -250,14 +258,16 @@ def fixed_responses(model: StructuredModel, rng=None) -> tuple[np.ndarray | None
         at_infinity.append(m.D)
         if len(at_zero) == 4:
             break
-    return _if_constant(at_zero), _if_constant(at_infinity)
+    size = max(np.abs(s).max(initial=0.0) for s in (*at_zero, *at_infinity))
+    return _if_constant(at_zero, size), _if_constant(at_infinity, size)
 
 
-def _if_constant(samples: list[np.ndarray]) -> np.ndarray | None:
+def _if_constant(samples: list[np.ndarray], size: float) -> np.ndarray | None:
+    """The samples' common value, if they differ by nothing beside the largest gain `size`."""
     if len(samples) < 3:
         return None
-    spread = max(np.abs(s - samples[0]).max() for s in samples)
-    return samples[0] if spread <= 1e-9 * max(1.0, np.abs(samples[0]).max()) else None
+    spread = max(np.abs(s - samples[0]).max(initial=0.0) for s in samples)
+    return samples[0] if spread <= 1e-9 * size else None
 
 
 def _probe(model: StructuredModel) -> np.ndarray:

@@ -57,7 +57,7 @@ def prox_linear(
     mu, trace, predicted = 1e-2 * value, [value], np.inf
     extra: list[tuple[int, float]] = []
     for _ in range(max_iterations):
-        if value <= target * (1 + 1e-4) or value <= 1e-13:
+        if value <= target * (1 + 1e-4) or value <= 1e-13 * problem.gain:
             return NonsmoothRun(theta, value, 0.0, True, np.array(trace))
         model = _with_extra(problem, theta, active, extra)
         step, bound = _solve(model, scale, mu, radius, (low - theta) / scale, (high - theta) / scale)

@@ -9,6 +9,7 @@ import numba
 import numpy as np
 
 from pwaid.errors import InputError
+from pwaid.hinfstruct.statespace import initial_state
 
 __all__ = ["check_trajectory", "simulate_lpv"]
 
@@ -74,7 +75,7 @@ def simulate_lpv(stacked, time, inputs, kappa, *, x0=None, substeps: int = 1) ->
         np.arange((time.size - 1) * 2 * substeps + 1) * dt / 2, time - time[0], kappa
     )
     A, B, C, D = stacked(fine)
-    start = np.zeros(A.shape[1]) if x0 is None else np.asarray(x0, dtype=float)
+    start = initial_state(x0, A.shape[1])
     states = _runge_kutta(A, B, inputs, dt, substeps, start)
     every = slice(None, None, 2 * substeps)
     with np.errstate(over="ignore", invalid="ignore"):

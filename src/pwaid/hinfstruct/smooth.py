@@ -14,10 +14,11 @@ __all__ = ["lbfgs", "levenberg_marquardt", "parameter_scale"]
 
 
 def parameter_scale(theta: np.ndarray) -> np.ndarray:
-    """Size of each parameter, floored at 1e-3 of the median, so that entries near zero keep a sensible step.
-    """
+    """Size of each parameter; a thousandth of the median for those that are zero beside it, so that they keep a
+    sensible step. A mass of 2 kg beside stiffnesses of 1e5 N/m is not zero."""
     size = np.abs(theta)
-    return np.maximum(size, max(1e-3 * float(np.median(size)), 1e-12))
+    middle = float(np.median(size))
+    return np.where(size > 1e-6 * middle, size, max(1e-3 * middle, 1e-12))
 
 
 def levenberg_marquardt(
@@ -34,12 +35,13 @@ def levenberg_marquardt(
 
     def residual(z):
         with np.errstate(all="ignore"):
-            return np.nan_to_num(problem.residual(z * scale, omega), nan=1e6, posinf=1e6, neginf=-1e6)
+            found = problem.residual(z * scale, omega) / problem.gain
+            return np.nan_to_num(found, nan=1e6, posinf=1e6, neginf=-1e6)
 
     def jacobian(z):
         with np.errstate(all="ignore"):
             return np.nan_to_num(
-                problem.residual(z * scale, omega, derivative=True) * scale, posinf=1e6, neginf=-1e6
+                problem.residual(z * scale, omega, derivative=True) * scale / problem.gain, posinf=1e6, neginf=-1e6
             )
 
     options = {"xtol": 1e-13, "ftol": 1e-13, "gtol": 1e-13, "max_nfev": max_iterations}

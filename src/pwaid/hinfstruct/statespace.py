@@ -16,7 +16,9 @@ import numpy as np
 
 from pwaid.errors import InputError
 
-__all__ = ["Matrices", "as_matrices", "difference", "frequency_response", "simulate_discrete", "to_control"]
+__all__ = [
+    "Matrices", "as_matrices", "difference", "frequency_response", "initial_state", "simulate_discrete", "to_control",
+]
 
 
 def freeze(instance) -> None:
@@ -162,13 +164,26 @@ def frequency_response(m: Matrices, omega) -> np.ndarray:
     return out
 
 
+def initial_state(x0, order: int) -> np.ndarray:
+    """The state at the start as a new vector, zero where none was given.
+
+    Raises
+    ------
+    InputError
+        Another number of entries, or one that is not finite.
+    """
+    start = np.zeros(order) if x0 is None else np.array(x0, dtype=float)
+    if start.shape != (order,) or not np.isfinite(start).all():
+        raise InputError(f"x0 has shape {start.shape}; expected {order} finite numbers, one a state")
+    return start
+
+
 def simulate_discrete(m: Matrices, inputs: np.ndarray, x0: np.ndarray | None = None) -> np.ndarray:
     """Outputs (N, ny) of x+ = A x + B u, y = C x + D u for inputs (N, nu)."""
     inputs = np.ascontiguousarray(inputs, dtype=float)
     if inputs.ndim != 2 or inputs.shape[1] != m.D.shape[1]:
         raise InputError(f"inputs have shape {inputs.shape}; expected (N, {m.D.shape[1]})")
-    x0 = np.zeros(m.order) if x0 is None else np.asarray(x0, dtype=float)
-    states = simulate_states(m.A, inputs @ m.B.T, x0)
+    states = simulate_states(m.A, inputs @ m.B.T, initial_state(x0, m.order))
     return states @ m.C.T + inputs @ m.D.T
 
 
