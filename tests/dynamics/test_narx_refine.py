@@ -81,3 +81,8 @@ def test_several_outputs_are_refused():
     problem = NARX(1, 0, True).problem(r, n_points=40, rng=0)
     with pytest.raises(InputError, match="refine takes one"):
         refine(problem, np.zeros(problem.mesh.n_points), r, 1.0)
+
+
+def test_lambda_must_be_positive():
+    with pytest.raises(InputError, match="lam is 0"):
+        refine(None, np.zeros(3), None, 0.0)

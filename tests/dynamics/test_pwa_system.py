@@ -209,3 +209,14 @@ def test_cells_are_read_only_and_replace_copies():
 def test_bad_input_gets_one_clear_error(make, message):
     with pytest.raises(InputError, match=message):
         make()
+
+
+def test_the_last_sample_sees_its_own_input():
+    """Two cells that the input switches: a sample does not depend on whether another one follows."""
+    cells = [Cell(A=[[-1.0]], a=[0.0], B=[[0.0]], C=[[0.0]], c=[out], G=[[0.0]], H=[[sign]], g=[-0.5 * sign])
+             for out, sign in ((10.0, -1.0), (0.0, 1.0))]
+    system = PWASystem(cells)
+    short = system.simulate([0.0, 1.0, 2.0], [0.0, 0.0, 1.0], [0.3])
+    long = system.simulate([0.0, 1.0, 2.0, 3.0], [0.0, 0.0, 1.0, 1.0], [0.3])
+    np.testing.assert_allclose(short.outputs, long.outputs[:3])
+    assert short.cells[-1] != short.cells[0]

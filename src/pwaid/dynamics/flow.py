@@ -219,6 +219,12 @@ def run(tab, time, inputs, x, state, now, states, cells, events, limit, zeno_eve
     X = np.empty((DEGREE + 1, x.size))
     span = time[N - 1] - time[0]
     while True:
+        if state[3] == N - 1:
+            if state[2] < N:
+                states[N - 1] = x
+                cells[N - 1] = state[1]
+                state[2] = N
+            return DONE
         u = inputs[state[3]]
         hold_end = state[3] + 1  # next sample at which the input changes
         while hold_end < N - 1 and np.all(inputs[hold_end] == u):
@@ -247,12 +253,7 @@ def run(tab, time, inputs, x, state, now, states, cells, events, limit, zeno_eve
                 if _accumulates(events.time, state[0], zeno_events, zeno_time):
                     return ZENO
         state[3] = hold_end
-        if hold_end == N - 1:
-            if state[2] < N:
-                states[N - 1] = x
-                cells[N - 1] = state[1]
-                state[2] = N
-            return DONE
-        stop = _change_cell(tab, x, inputs[hold_end], state, now, events, -1, span)
-        if stop != DONE:
-            return stop
+        if np.any(inputs[hold_end] != u):
+            stop = _change_cell(tab, x, inputs[hold_end], state, now, events, -1, span)
+            if stop != DONE:
+                return stop

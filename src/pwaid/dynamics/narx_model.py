@@ -164,7 +164,8 @@ class NARXModel:
         """Free run over a recording's inputs, started from its first `first` measured outputs."""
         if len(recording) <= self.first:
             raise InputError(f"{recording.name} has {len(recording)} samples; a free run needs over {self.first}")
-        return self.free_run(recording.inputs, recording.outputs[: self.first], outside=outside, limit=limit)
+        inputs = recording.inputs if self.n_inputs else recording.inputs[:, :0]  # a model of outputs alone takes none
+        return self.free_run(inputs, recording.outputs[: self.first], outside=outside, limit=limit)
 
     def free_run(
         self, inputs: Any, initial: Any, *, outside: str = "affine", limit: float | None = None

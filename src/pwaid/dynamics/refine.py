@@ -25,6 +25,7 @@ from pwaid.dynamics.regressors import as_recordings
 from pwaid.errors import InputError
 from pwaid.problem import HingeProblem
 from pwaid.recording import Recording
+from pwaid.solve import check_lambda
 
 __all__ = ["Refined", "free_run_scale", "refine", "refine_path"]
 
@@ -129,7 +130,7 @@ def refine(
     recordings : Recording or sequence of Recording
         Estimation data.
     lam : float
-        λ ≥ 0 of the free-run problem; its scale differs from the one-step problem's.
+        λ > 0 of the free-run problem; its scale differs from the one-step problem's.
     horizon : int, optional
         Samples between fresh starts; the whole recording by default.
     steps : int
@@ -140,8 +141,9 @@ def refine(
     Raises
     ------
     InputError
-        More than one output, or a starting model whose free run diverges.
+        λ ≤ 0, more than one output, or a starting model whose free run diverges.
     """
+    lam = check_lambda(lam)
     if len(problem.problems) != 1:
         raise InputError(f"the model has {len(problem.problems)} outputs; refine takes one: refine each output alone")
     pieces = _segments(as_recordings(recordings), problem.lags.first, horizon)
