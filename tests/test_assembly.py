@@ -72,3 +72,12 @@ def test_bad_chunks_are_refused():
         HingeProblem.from_chunks(mesh, [])
     with pytest.raises(InputError, match="NaN"):
         HingeProblem.from_chunks(mesh, [(np.full((5, 2), np.nan), np.zeros(5))])
+
+
+def test_a_short_last_chunk_counts(rng):
+    mesh = SimplexMesh.grid([[-1, 1]] * 2, (6, 6))
+    X = rng.uniform(-1, 1, (501, 2))
+    y = np.abs(X[:, 0])
+    whole = HingeProblem.from_data(mesh, X, y)
+    chunks = HingeProblem.from_chunks(mesh, ((X[k:k + 100], y[k:k + 100]) for k in range(0, 501, 100)))
+    np.testing.assert_allclose(chunks.Aty, whole.Aty, atol=1e-12)

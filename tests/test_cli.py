@@ -110,3 +110,14 @@ def test_effects_lists_the_catalogue(capsys):
     text = capsys.readouterr().out
     for name in ("coulomb_friction", "backlash", "overflow", "parameter_drift", "sensor_quantization"):
         assert f"{name}  (" in text
+
+
+def test_sweep_of_an_affine_table_and_of_a_folder_that_is_a_file(tmp_path, rng, capsys):
+    x = rng.uniform(0, 1, 60)
+    path = tmp_path / "affine.csv"
+    write(path, np.column_stack([x, rng.uniform(0, 1, 60)]), 2 * x + 1)
+    words = ["sweep", str(path), "--inputs", "x1,x2", "--output", "y", "--validation", str(path)]
+    assert main([*words, "-o", str(tmp_path / "out")]) == 0
+    assert (tmp_path / "out" / "map.npz").is_file()
+    assert main([*words, "-o", str(path / "inside")]) == 2
+    assert "cannot be written" in capsys.readouterr().err

@@ -82,3 +82,42 @@ def test_collinear_inputs_are_refused(data):
     X, y = data
     with pytest.raises(InputError, match="collinear"):
         PWARegressor(60).fit(np.column_stack([X[:, 0], 2 * X[:, 0]]), y)
+
+
+@pytest.mark.parametrize("constant", [0.1, 25.7, 293.15])
+def test_an_input_that_never_moved_counts_for_nothing(rng, constant):
+    X = np.column_stack([rng.uniform(-1, 1, (200, 1)), np.full(200, constant)])
+    model = PWARegressor(30, lam_ratio=0.01, random_state=0).fit(X, np.abs(X[:, 0]) + 100.0)
+    moved = X[:5] + [0.0, 0.1]
+    np.testing.assert_array_equal(model.predict(moved), model.predict(X[:5]))
+
+
+def test_a_switch_bends_nothing(rng):
+    """An input with two values: the affine fit is best at every λ."""
+    x = np.repeat([0.0, 1.0], 40)
+    for noise in (0.0, 0.3):
+        y = 2.0 * x - 1.0 + noise * rng.normal(size=x.size)
+        model = PWARegressor(20, random_state=0).fit(x[:, None], y)
+        np.testing.assert_allclose(model.predict([[0.0], [1.0]]), [y[x == 0].mean(), y[x == 1].mean()], atol=1e-9)
+
+
+def test_inputs_that_rounding_parted_are_one(rng):
+    x = np.r_[np.linspace(0, 1, 11), np.cumsum(np.full(11, 0.1)) - 0.1]
+    y = np.abs(x - 0.5) + 0.02 * rng.standard_normal(22)
+    model = PWARegressor(random_state=0, n_lambdas=5).fit(x[:, None], y)
+    assert model.mesh_.n_points == 13  # eleven and two corners outside
+    assert model.gaps_[0] <= 1e-4
+
+
+def test_an_input_that_moves_in_one_fold_only_leaves_that_fold_out(rng):
+    X = np.column_stack([rng.uniform(-1, 1, 100), np.r_[np.zeros(85), np.ones(15)]])
+    y = np.abs(X[:, 0]) + X[:, 1] + 0.01 * rng.normal(size=100)
+    with pytest.warns(UserWarning, match="fold 4 is left out"):
+        model = PWARegressor(40, folds="blocks", n_lambdas=5, random_state=0).fit(X, y)
+    assert model.cv_rmse_[0].min() < 0.2
+
+
+def test_a_mask_chooses_hinge_features(data):
+    X, y = data
+    models = [PWARegressor(**{**QUICK, "hinge_features": chosen}).fit(X, y) for chosen in ([1], [False, True])]
+    np.testing.assert_array_equal(models[0].hinge_features_, models[1].hinge_features_)

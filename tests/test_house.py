@@ -16,6 +16,7 @@ ORDER = [
     ["_kernel_cache"],
     ["_version"],
     ["errors"],
+    ["folders"],
     ["tables"],
     ["recording"],
     ["vertices"],

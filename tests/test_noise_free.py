@@ -39,3 +39,10 @@ def test_noisy_samples_are_refused(mesh, rng):
     X = np.repeat(rng.uniform(-1, 1, (60, 2)), 2, axis=0)
     with pytest.raises(InputError, match="no map on this mesh meets the 120 samples exactly"):
         solve_noise_free(HingeProblem.from_data(mesh, X, rng.standard_normal(120)))
+
+
+def test_an_affine_function_needs_no_hinge(rng):
+    mesh = SimplexMesh.grid([0, 1], 9)
+    x = rng.uniform(0, 1, 12)
+    found = solve_noise_free(HingeProblem.from_data(mesh, x, 2 * x + 1))
+    assert found.penalty == 0.0 and found.residual < 1e-12 and found.n_broken == 0

@@ -151,3 +151,26 @@ def test_a_path_without_held_out_data_has_no_best(small):
     with pytest.raises(InputError, match="every held-out sample lies outside"):
         solve_path(HingeProblem.from_data(mesh, X, y), lambdas=[1.0], mesh=mesh, X_val=X + 100, y_val=y)
     assert lambda_grid(2.0, 2, 0.5)[1] == 1.0
+
+
+def test_folds_without_an_inputs_movement_are_left_out(rng):
+    mesh = pwaid.SimplexMesh.grid([[-1, 1], [0, 1]], (5, 3))
+    X = np.column_stack([rng.uniform(-1, 1, 100), np.r_[np.zeros(85), np.ones(15)]])
+    y = np.abs(X[:, 0]) + X[:, 1]
+    path = cross_validate(mesh, X, y, folds="blocks", n_lambdas=3)
+    assert any("fold 4 is left out" in note for note in path.warnings)
+    assert np.all(np.isfinite(path.validation_rmse))
+    with pytest.raises(InputError, match="every fold holds"):
+        cross_validate(mesh, X[75:95], y[75:95], k=2, folds="blocks", n_lambdas=3)
+
+
+def test_a_mesh_without_hinges_gives_the_affine_fit(rng):
+    mesh = pwaid.SimplexMesh.from_points([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    X = rng.dirichlet([1, 1, 1], 30)[:, :2]
+    y = X @ [1.0, -2.0] + 0.1 * rng.normal(size=30)
+    problem = HingeProblem.from_data(mesh, X, y)
+    assert float(pwaid.lambda_max(problem)) == 0.0
+    path = solve_path(problem, mesh=mesh, X_val=X, y_val=y)
+    assert path.best.status is Status.SOLVED and "no hinge" in path.warnings[-1]
+    with pytest.raises(InputError, match="y_val has 1 entries"):
+        solve_path(problem, mesh=mesh, X_val=X, y_val=np.r_[np.nan, y[1:]])

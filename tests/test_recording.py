@@ -99,8 +99,8 @@ def test_bad_recordings(changes, message):
         ("t,u,x\n", "expected a header line and at least one row"),
         ("0,1,2\n0,1,2\n", "expected column names"),
         ("t,u,u\n0,1,2\n", "column 'u' twice"),
-        ("t,u,x\n0,1\n1,2,3\n", "row 2 of r.csv has 2 cells"),
-        ("t,u,x\n0,1,2\n1,zwei,3\n", "row 3, column 'u' of r.csv holds 'zwei'"),
+        ("t,u,x\n0,1\n1,2,3\n", "line 2 of r.csv has 2 cells"),
+        ("t,u,x\n0,1,2\n1,zwei,3\n", "line 3, column 'u' of r.csv holds 'zwei'"),
         ("t,u,z\n0,1,2\n1,2,3\n", "has no column 'x'"),
         ("t,u,x\n0,1,nan\n1,2,3\n", "NaN or infinite"),
     ],
@@ -137,3 +137,40 @@ def test_rounded_time_stamps_can_be_replaced(tmp_path):
 def test_bad_samples(X, y, message):
     with pytest.raises(InputError, match=message):
         check_samples(X, y)
+
+
+def test_dates_are_seconds_from_the_first():
+    start = np.datetime64("2026-03-01T08:00:00", "us")
+    for stamps in (start + np.arange(50) * np.timedelta64(10_000, "us"), np.arange(50) * np.timedelta64(10, "ms"),
+                   (start + np.arange(50) * np.timedelta64(10_000, "us")).astype("datetime64[ns]")):
+        r = Recording(stamps, np.zeros(50), np.zeros(50))
+        assert r.sample_time == pytest.approx(0.01) and r.time[0] == 0.0
+    with pytest.raises(InputError, match="expected real numbers"):
+        Recording(np.arange(50) * 0.1, stamps, np.zeros(50))
+    with pytest.raises(InputError, match="masked"):
+        Recording(np.arange(50) * 0.1, np.zeros(50), np.ma.masked_equal(np.arange(50.0), 3.0))
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "cp1252", "utf-16"])
+def test_files_of_other_programs(tmp_path, encoding):
+    path = tmp_path / "r.csv"
+    path.write_bytes("# exported, by hand\n\nt;T [°C]\n0;1.5\n1;2.5\n".encode(encoding))
+    columns, units = read_table(path)
+    np.testing.assert_array_equal(columns["T"], [1.5, 2.5])
+    assert units == {"T": "°C"}
+
+
+def test_brackets_that_tell_columns_apart_are_no_units(tmp_path):
+    path = tmp_path / "r.csv"
+    path.write_text("y(k-1),y(k-2),y\n0,1,2\n1,2,3\n")
+    assert list(read_table(path)[0]) == ["y(k-1)", "y(k-2)", "y"]
+
+
+def test_lines_of_the_file_are_counted(tmp_path):
+    path = tmp_path / "r.csv"
+    path.write_text("# made by hand\n\nt,x\n0,1\n\n1,zwei\n")
+    with pytest.raises(InputError, match="line 6, column 'x'"):
+        read_table(path)
+    path.write_text('t,x\n0,"' + "1\n" * 100_000)
+    with pytest.raises(InputError, match=r"quote left open|has 2 cells|holds"):
+        read_table(path)

@@ -41,7 +41,7 @@ class SampleSums:
 
     def add(self, X: Any, y: Any) -> None:
         """Add samples X, shape (n, d), and y, shape (n,)."""
-        X, y = check_samples(X, y, dimension=self.mesh.dimension)
+        X, y = check_samples(X, y, dimension=self.mesh.dimension, part=True)
         simplex, weights = self.mesh.locate(X)
         if self.outside == "raise":
             self.mesh.require_inside(simplex, X)

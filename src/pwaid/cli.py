@@ -20,6 +20,7 @@ from tqdm import tqdm
 from pwaid._version import __version__
 from pwaid.delaunay import SimplexMesh
 from pwaid.errors import InputError, PwaidError
+from pwaid.folders import ready_folder
 from pwaid.lerp import WEIGHTINGS
 from pwaid.path import RULES, cross_validate, solve_path
 from pwaid.problem import HingeProblem
@@ -151,12 +152,14 @@ class _Bar:
             self.bar.close()
 
 
-def _samples(path: Path, inputs: list[str], output: str) -> tuple[np.ndarray, np.ndarray, dict[str, str]]:
+def _samples(
+    path: Path, inputs: list[str], output: str, part: bool = False
+) -> tuple[np.ndarray, np.ndarray, dict[str, str]]:
     columns, units = read_table(path)
     for name in (*inputs, output):
         if name not in columns:
             raise InputError(f"{path.name} has no column {name!r}; its columns are {sorted(columns)}")
-    X, y = check_samples(np.column_stack([columns[n] for n in inputs]), columns[output])
+    X, y = check_samples(np.column_stack([columns[n] for n in inputs]), columns[output], part=part)
     return X, y, units
 
 
@@ -165,6 +168,13 @@ def _sweep(options: argparse.Namespace) -> int:
     if len(set(inputs)) < len(inputs) or not inputs:
         raise InputError(f"--inputs is {options.inputs!r}; expected different column names separated by commas")
     X, y, units = _samples(options.data, inputs, options.output)
+    with ready_folder(options.out) as out:
+        _sweep_into(out, options, inputs, X, y, units)
+    return 0
+
+
+def _sweep_into(out: Path, options: argparse.Namespace, inputs: list[str], X, y, units) -> None:
+    """The path over λ of these samples, and its files."""
     mesh = SimplexMesh.from_data(X, options.points, options.seed)
     print(f"{len(y)} samples of {options.output} over {', '.join(inputs)}; {mesh.n_points} vertices, "
           f"{len(mesh.facets)} hinges; {mesh.quality}")
@@ -172,18 +182,16 @@ def _sweep(options: argparse.Namespace) -> int:
     if options.validation is None:
         path = cross_validate(mesh, X, y, weighting=options.weighting, rng=options.seed, **settings)
     else:
-        X_val, y_val, _ = _samples(options.validation, inputs, options.output)
+        X_val, y_val, _ = _samples(options.validation, inputs, options.output, part=True)
         problem = HingeProblem.from_data(mesh, X, y, weighting=options.weighting)
         path = solve_path(problem, X_val=X_val, y_val=y_val, mesh=mesh, **settings)
-    _report(path, options.out, inputs, options.output, units)
-    return 0
+    _report(path, out, inputs, options.output, units)
 
 
 def _report(path: LambdaPath, out: Path, inputs: list[str], output: str, units: dict[str, str]) -> None:
     """Print the path and write path.csv, map.npz and pictures."""
     from pwaid import plotting
 
-    out.mkdir(parents=True, exist_ok=True)
     for note in path.warnings:
         print(f"note: {note}")
     print(path)
@@ -194,7 +202,8 @@ def _report(path: LambdaPath, out: Path, inputs: list[str], output: str, units: 
         figure, ax = plotting.new_figure()
         plotting.plot_path(path, ax, unit=units.get(output, ""))
         figure.savefig(out / "path.png", dpi=130)
-        print(f"chosen: λ = {chosen.lam:.4g} ({chosen.lam / path.lambda_max:.3g} λmax), "
+        share = f" ({chosen.lam / path.lambda_max:.3g} λmax)" if path.lambda_max > 0.0 else ""
+        print(f"chosen: λ = {chosen.lam:.4g}{share}, "
               f"{chosen.n_broken} broken hinges, held-out RMSE {path.validation_rmse[path.best_index]:.4g} "
               f"{units.get(output, '')}")
     _write_table(path, out / "path.csv")
@@ -225,7 +234,8 @@ def _demo(options: argparse.Namespace) -> int:
 
     began = time.perf_counter()
     out = options.out or Path(tempfile.mkdtemp(prefix="pwaid-demo-"))
-    _demo_sweep(out / "sweep")
+    with ready_folder(out / "sweep") as folder:
+        _demo_sweep(folder)
     print("\nA machine that its simulator does not match: what was left out?")
     with _Percent() as progress:
         report = mismatch.explain_case(mismatch.demo_case_path(), out / "explained", jobs=2, progress=progress)

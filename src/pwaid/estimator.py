@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,7 @@ from pwaid.delaunay import SimplexMesh
 from pwaid.errors import InputError
 from pwaid.lambda_max import lambda_max
 from pwaid.lerp import barycentric_rows, hinge_matrix
-from pwaid.path import fold_labels, lambda_grid, solve_path
+from pwaid.path import NO_FOLD, UNDETERMINED, fold_labels, lambda_grid, solve_path
 from pwaid.problem import HingeProblem
 from pwaid.pwa_map import PWAMap
 from pwaid.solve import check_lambda, solve
@@ -25,6 +26,11 @@ MESH_DIMENSIONS = 4
 CHOSEN_DIMENSIONS = 3
 # On the squared coefficients of standardised linear inputs, a sample: makes them unique when inputs repeat each other.
 RIDGE = 1e-8
+
+
+def _varies(X: np.ndarray) -> np.ndarray:
+    """Which columns vary, by more than rounding."""
+    return np.ptp(X, axis=0) > 1e-12 * np.abs(X).max(axis=0, initial=0.0)
 
 
 class PWARegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
@@ -136,8 +142,7 @@ class PWARegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         self.mesh_.require_inside(simplex, inputs)
         rest = X[:, self.linear_features_]
         self._centre = rest.mean(axis=0)
-        size = rest.std(axis=0)
-        self._size = np.where(size > 0, size, 1.0)
+        self._size = np.where(_varies(rest), rest.std(axis=0), np.inf)  # what never moved counts for nothing
         A = self._extended(barycentric_rows(self.mesh_, simplex, weights), rest)
         F = hinge_matrix(self.mesh_, self.weighting)
         F = sparse.csr_matrix(sparse.hstack([F, sparse.csr_matrix((F.shape[0], rest.shape[1]))]))
@@ -172,16 +177,21 @@ class PWARegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         for fold in np.unique(label):
             train, test = label != fold, label == fold
             part = self._problem(A[train], F, y[train])
+            if not part.is_determined:
+                warnings.warn(UNDETERMINED.format(fold), stacklevel=4)
+                continue
             if part.is_affine:
                 values = [part.affine_values] * len(grid)
             else:
                 values = [s.values for s in solve_path(part, lambdas=grid * train.mean(), tol=self.tol).solutions]
             squared.append([np.mean((y[test] - A[test] @ v) ** 2) for v in values])
+        if not squared:
+            raise InputError(NO_FOLD)
         squared = np.array(squared)
         mean = squared.mean(axis=0)
         best = int(np.argmin(mean))
         if self.rule == "1se":
-            error = squared.std(axis=0, ddof=1)[best] / np.sqrt(len(squared))
+            error = squared.std(axis=0, ddof=min(1, len(squared) - 1))[best] / np.sqrt(len(squared))
             best = int(np.flatnonzero(mean <= mean[best] + error)[0])
         elif self.rule != "min":
             raise InputError(f"rule is {self.rule!r}; expected 'min' or '1se'")
@@ -211,9 +221,11 @@ class PWARegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
 
     def _choose(self, X: np.ndarray, Y: np.ndarray) -> np.ndarray:
         """The inputs that are meshed; constant ones never are."""
-        varies = np.flatnonzero(np.ptp(X, axis=0) > 0)
+        varies = np.flatnonzero(_varies(X))
         if not isinstance(self.hinge_features, str):
-            chosen = np.unique(np.asarray(self.hinge_features, dtype=int))
+            chosen = np.asarray(self.hinge_features)
+            mask = chosen.dtype == bool and chosen.shape == (X.shape[1],)
+            chosen = np.flatnonzero(chosen) if mask else np.unique(chosen.astype(int))
             if chosen.size == 0 or chosen.min() < 0 or chosen.max() >= X.shape[1]:
                 raise InputError(f"hinge_features is {self.hinge_features!r}; expected columns 0 to {X.shape[1] - 1}")
             return chosen

@@ -17,13 +17,20 @@ from pwaid.errors import InputError
 from pwaid.lambda_max import lambda_max
 from pwaid.problem import HingeProblem
 from pwaid.pwa_map import PWAMap
-from pwaid.recording import check_samples
+from pwaid.recording import check_finite, check_samples
 from pwaid.solution import Path, Solution, Status
 from pwaid.solve import METHODS, solve
 
 __all__ = ["RULES", "cross_validate", "fold_labels", "lambda_grid", "solve_path"]
 
 RULES = ("min", "1se")
+UNDETERMINED = (
+    "fold {} is left out of the cross-validation: without it the samples do not determine an affine function, since an "
+    "input moves there only"
+)
+NO_FOLD = (
+    "every fold holds all movement of some input, so none can be held out; use random folds, or choose λ by other data"
+)
 Progress = Callable[[int, int, Solution], None]
 
 
@@ -91,7 +98,9 @@ def solve_path(
     if mesh is not None and mesh.n_points != problem.n_points:
         raise InputError(f"the mesh has {mesh.n_points} points, the problem {problem.n_points}; pass its own mesh")
     if problem.is_affine:
-        notes.append("the output is an affine function of the inputs to rounding: λmax is 0 and the map is flat")
+        why = "the output is an affine function of the inputs to rounding" if problem.is_exact else (
+            "no hinge of this mesh lowers the error of the affine fit")
+        notes.append(f"{why}: λmax is 0 and the map is flat")
         grid, largest = np.array([1.0]), 0.0
     else:
         largest = float(lambda_max(problem)) if lambdas is None else np.nan
@@ -152,22 +161,30 @@ def cross_validate(
     label = fold_labels(len(X), k, folds, rng)
     largest = float(lambda_max(problem))
     grid = lambda_grid(largest, n_lambdas, ratio, start)
-    squared = np.full((k, len(grid)), np.nan)
+    squared, notes = [], []
     for fold in range(k):
         train, test = label != fold, label == fold
         part = HingeProblem.from_data(mesh, X[train], y[train], weighting=weighting, outside=outside)
+        if not part.is_determined:
+            notes.append(UNDETERMINED.format(fold))
+            continue
         if part.is_affine:
-            squared[fold] = _HeldOut(mesh, X[test], y[test]).rmse(solve(part, 1.0))[0] ** 2
+            error = _HeldOut(mesh, X[test], y[test]).rmse(solve(part, 1.0))[0]
+            squared.append(np.full(len(grid), error**2))
             continue
         path = solve_path(
             part, lambdas=grid * train.mean(), tol=tol, method=method, mesh=mesh, X_val=X[test], y_val=y[test]
         )
-        squared[fold] = path.validation_rmse**2
+        squared.append(path.validation_rmse**2)
+    if not squared:
+        raise InputError(NO_FOLD)
+    squared = np.array(squared)
     path = solve_path(problem, lambdas=grid, tol=tol, method=method, mesh=mesh, rule=rule, progress=progress)
     rmse = np.sqrt(squared.mean(axis=0))
-    spread = squared.std(axis=0, ddof=1) / np.sqrt(k)
+    spread = squared.std(axis=0, ddof=min(1, len(squared) - 1)) / np.sqrt(len(squared))
     error = spread / (2.0 * np.maximum(rmse, np.finfo(float).tiny))
-    return replace(path, lambda_max=largest, validation_rmse=rmse, validation_se=error)
+    return replace(path, lambda_max=largest, validation_rmse=rmse, validation_se=error,
+                   warnings=(*path.warnings, *notes))
 
 
 def fold_labels(n: int, k: int, folds: str = "random", rng: Any = None) -> np.ndarray:
@@ -185,6 +202,7 @@ class _HeldOut:
 
     def __init__(self, mesh: SimplexMesh, X: Any, y: Any):
         X, y = mesh.check_points(X), np.asarray(y, dtype=float).reshape(-1)
+        check_finite(y, "y_val")
         if len(X) != len(y):
             raise InputError(f"X_val has {len(X)} samples and y_val {len(y)}; expected the same number")
         inside = mesh.contains(X)

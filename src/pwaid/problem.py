@@ -39,6 +39,8 @@ __all__ = ["Certificate", "HingeProblem"]
 BROKEN = 1e-4
 # A residual of this fraction of y is rounding.
 EXACT = 1e-11
+# So is a gradient of this fraction of what the largest column of A and y could give.
+ROUNDED = 1e-14
 
 
 @dataclass(frozen=True)
@@ -212,13 +214,24 @@ class HingeProblem:
             The samples do not determine it: collinear inputs, or fewer than d + 1 distinct samples.
         """
         V = self.affine_basis
-        coefficients, _, rank, _ = np.linalg.lstsq(V.T @ (self.H @ V), V.T @ self.Aty, rcond=1e-13)
-        if rank < V.shape[1]:
+        if not self.is_determined:
             raise InputError(
                 f"the {self.n_samples} samples do not determine an affine function of the {V.shape[1] - 1} inputs: "
                 "the inputs are collinear, or too few samples are distinct; leave out the redundant input"
             )
-        return V @ coefficients
+        return V @ self._affine_fit[0]
+
+    @cached_property
+    def _affine_fit(self) -> tuple[np.ndarray, int]:
+        """Coefficients of the affine fit in `affine_basis`, and the rank of their equations."""
+        V = self.affine_basis
+        coefficients, _, rank, _ = np.linalg.lstsq(V.T @ (self.H @ V), V.T @ self.Aty, rcond=1e-13)
+        return coefficients, int(rank)
+
+    @property
+    def is_determined(self) -> bool:
+        """Whether the samples determine their affine fit."""
+        return self._affine_fit[1] == self.affine_basis.shape[1]
 
     @cached_property
     def _affine_leak(self) -> float:
@@ -247,7 +260,14 @@ class HingeProblem:
 
     @cached_property
     def is_affine(self) -> bool:
-        """Whether y is an affine function of x to rounding (RMS 1e-11 of y's own), so that λmax = 0."""
+        """Whether the affine fit is best at every λ, so that λmax = 0: y is affine to rounding (RMS 1e-11 of y's own),
+        nothing can bend, or bending gains nothing, as where an input has two values only."""
+        size = np.sqrt(self.H.diagonal().max(initial=0.0) * self.yty)
+        return self.is_exact or self.n_hinges == 0 or bool(np.abs(self.c).max(initial=0.0) <= ROUNDED * size)
+
+    @property
+    def is_exact(self) -> bool:
+        """Whether y is an affine function of x to rounding."""
         return self.affine_loss <= 0.5 * EXACT**2 * self.yty
 
     # -- judging ---------------------------------------------------------------------------------------------

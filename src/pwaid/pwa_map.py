@@ -14,6 +14,7 @@ import json
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
+from zipfile import BadZipFile
 
 import numpy as np
 
@@ -153,7 +154,7 @@ class PWAMap:
             with np.load(path, allow_pickle=False) as file:
                 content = {key: file[key] for key in file.files}
             head = json.loads(str(content["head"]))
-        except (OSError, ValueError, KeyError) as error:
+        except (OSError, EOFError, ValueError, KeyError, BadZipFile) as error:
             raise InputError(f"{path.name} is not a pwaid map ({error}); expected a file of PWAMap.save") from error
         if head.get("format") != FORMAT:
             raise InputError(f"{path.name} has the format {head.get('format')!r}; this version reads {FORMAT!r}")

@@ -34,7 +34,9 @@ def check_finite(array: np.ndarray, name: str) -> None:
         )
 
 
-def check_samples(X: Any, y: Any, *, dimension: int | None = None) -> tuple[np.ndarray, np.ndarray]:
+def check_samples(
+    X: Any, y: Any, *, dimension: int | None = None, part: bool = False
+) -> tuple[np.ndarray, np.ndarray]:
     """Samples of a map as float arrays X (N, d) and y (N,), or one clear `InputError`.
 
     Parameters
@@ -45,6 +47,8 @@ def check_samples(X: Any, y: Any, *, dimension: int | None = None) -> tuple[np.n
         Outputs.
     dimension : int, optional
         The d that is expected.
+    part : bool
+        Whether they are some of all the samples, so that few will do.
     """
     X = _as_float(X, "X")
     y = _as_float(y, "y")
@@ -64,7 +68,7 @@ def check_samples(X: Any, y: Any, *, dimension: int | None = None) -> tuple[np.n
         raise InputError(f"X has {X.shape[1]} columns; expected {dimension}, the dimension of the mesh")
     check_finite(X, "X")
     check_finite(y, "y")
-    if X.shape[0] < X.shape[1] + 2:
+    if X.shape[0] < X.shape[1] + 2 and not part:
         raise InputError(
             f"{X.shape[0]} samples came; an affine map of {X.shape[1]} inputs and a hinge need at least "
             f"{X.shape[1] + 2}: record more samples"
@@ -74,9 +78,24 @@ def check_samples(X: Any, y: Any, *, dimension: int | None = None) -> tuple[np.n
 
 def _as_float(array: Any, name: str) -> np.ndarray:
     try:
+        given = np.asarray(array)
+        if given.dtype.kind in "mMc" or np.ma.isMaskedArray(array):
+            kind = "masked numbers" if np.ma.isMaskedArray(array) else f"{given.dtype} values"
+            raise InputError(f"{name} holds {kind}; expected real numbers")
         return np.asarray(array, dtype=float)
     except (TypeError, ValueError) as error:
         raise InputError(f"{name} cannot be read as numbers ({error}); expected a numeric array") from error
+
+
+def _seconds(time: Any) -> np.ndarray:
+    """Time stamps as seconds; dates count from the first one."""
+    stamps = np.asarray(time)
+    if stamps.dtype.kind in "mM":
+        if np.isnat(stamps).any():
+            raise InputError("time has stamps that are no times (NaT); drop these samples first")
+        start = stamps.ravel()[:1] if stamps.dtype.kind == "M" else np.timedelta64(0, "s")
+        return (stamps - start) / np.timedelta64(1, "s")
+    return _as_float(time, "time")
 
 
 def _columns(array: Any, name: str, n_samples: int) -> np.ndarray:
@@ -129,7 +148,7 @@ class Recording:
     Parameters
     ----------
     time : array_like, shape (N,)
-        Time stamps in seconds, strictly increasing and uniform.
+        Time stamps in seconds, strictly increasing and uniform; dates count from the first one.
     inputs : array_like, shape (N, n_inputs) or (N,)
         What drives the machine.
     outputs : array_like, shape (N, n_outputs) or (N,)
@@ -156,7 +175,7 @@ class Recording:
     name: str = "recording"
 
     def __post_init__(self) -> None:
-        time = _as_float(self.time, "time")
+        time = _seconds(self.time)
         if time.ndim != 1:
             raise InputError(f"time has shape {time.shape}; expected a vector of seconds")
         object.__setattr__(self, "_sample_time", _sample_time(time))
@@ -227,7 +246,7 @@ class Recording:
         columns = {str(c): np.asarray(frame[c]) for c in frame.columns}
         if time is None and sample_time is None:
             time = "index"
-            columns[time] = np.asarray(frame.index, dtype=float)
+            columns[time] = _seconds(frame.index)
         return cls.from_columns(
             columns, inputs, outputs, time=time, sample_time=sample_time, units=units, name=name
         )

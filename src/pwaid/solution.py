@@ -100,7 +100,7 @@ class Solution:
 
 
 def affine_solution(problem: HingeProblem, lam: float, seconds: float = 0.0) -> Solution:
-    """The solution when y is affine to rounding: its fit is exact, and nothing is left to solve at any λ."""
+    """The affine fit where it is best at every λ."""
     values = problem.affine_values.copy()
     return Solution(
         values=values,
@@ -113,7 +113,7 @@ def affine_solution(problem: HingeProblem, lam: float, seconds: float = 0.0) -> 
         method="affine",
         nu=np.zeros(problem.n_hinges),
         n_broken=0,
-        message="y is affine to rounding",
+        message="y is affine to rounding" if problem.is_exact else "no hinge lowers the error",
     )
 
 
