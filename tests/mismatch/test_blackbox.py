@@ -14,9 +14,10 @@ from pwaid.errors import InputError
 from pwaid.mismatch import explain, explain_case
 from pwaid.mismatch.case import write_case
 from pwaid.mismatch.dataset import Dataset
-from pwaid.mismatch.effects.registry import CATALOGUE
+from pwaid.mismatch.effects.registry import CATALOGUE, effect_by_id
+from pwaid.mismatch.explain import collect, conclude
 from pwaid.mismatch.fit import Fit
-from pwaid.mismatch.hypotheses import Hypothesis
+from pwaid.mismatch.hypotheses import Hypothesis, floor_square
 from pwaid.mismatch.model import Model, Settings
 from pwaid.mismatch.plant import as_plant
 from pwaid.mismatch.probing import find_structure
@@ -209,3 +210,35 @@ def test_a_callable_that_fails_at_some_inputs_only_is_reported():
     report, ids = named(careful, recs)
     assert ids == ["actuator_deadzone"]
     assert any("beyond the table" in w for w in report.content["warnings"])
+
+
+def test_a_callable_that_fills_one_array_again_and_again():
+    """What it returned before must not change with the next call."""
+    kept = np.zeros((600, 1))
+
+    def reusing(u, params={"gain": 1.0}):  # noqa: B006 - the contract asks for defaults
+        kept[:] = params["gain"] * simulate(u).reshape(-1, 1)
+        return kept
+
+    box = as_plant(reusing, ("u",), ("y",)).black_box
+    u = recordings()[0].inputs
+    first = box.run(u, {"gain": 0.5}, np.zeros(box.n_starts)).copy()
+    box.run(u, {"gain": 2.0}, np.zeros(box.n_starts))
+    np.testing.assert_array_equal(box.run(u, {"gain": 0.5}, np.zeros(box.n_starts)), first)
+
+
+def test_what_a_black_box_leaves_far_above_the_noise_is_no_disturbance():
+    """Friction inside, small beside the travel: without a look at states nothing says that it is no physics."""
+    def spring(u, params={"b": 0.45}):  # noqa: B006 - the contract asks for defaults
+        x, v, y = 0.0, 0.0, []
+        for value in np.ravel(u):
+            y.append(x)
+            for _ in range(4):
+                v += 0.005 * (value - params["b"] * v - 3.0 * x)
+                x += 0.005 * v
+        return np.array(y)
+
+    recs = [record(seed, level=0.1, samples=400, noise=1e-3) for seed in (1, 2, 3)]
+    evidence = collect(spring, recs[:2], recs[2:], ["b"], effects=effect_by_id("sensor_offset"))
+    assert evidence.null.test_error > 4 * floor_square(evidence.problem)
+    assert conclude(evidence, brief=True).verdict == "unexplained"

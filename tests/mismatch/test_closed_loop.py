@@ -75,7 +75,7 @@ def fitted(p, data, x0=(0.0, 0.0)):
 def test_the_loop_is_the_one_written_out_by_hand(references):
     rec, r = loop(1, x0=(0.1, 0.0))
     data = Dataset.from_recordings([rec])
-    given = make_loop(pd(references), plant(), {rec.name: r} if references else {}, DT, [rec.name])
+    given = make_loop(pd(references), plant(), {rec.name: r} if references else {}, DT, [rec])
     starts, faithful = controller_starts(given, data, ("u",))
     Y, U = simulate_loop(given, fitted(plant(), data, (0.1, 0.0)), data, starts)
     np.testing.assert_allclose(Y, rec.outputs, atol=1e-7)
@@ -90,7 +90,7 @@ def test_without_references_a_linear_controller_gives_the_same_loop():
     wrong = fitted(plant(2.0), data)
     ends = []
     for references in (True, False):
-        given = make_loop(pd(references), plant(), {rec.name: r} if references else {}, DT, [rec.name])
+        given = make_loop(pd(references), plant(), {rec.name: r} if references else {}, DT, [rec])
         ends.append(simulate_loop(given, wrong, data, controller_starts(given, data, ("u",))[0]))
     np.testing.assert_allclose(ends[0][0], ends[1][0], atol=1e-8)
     np.testing.assert_allclose(ends[0][1], ends[1][1], atol=1e-6)
@@ -150,8 +150,9 @@ def test_closed_loop_without_controller_says_so():
     ("pid", "is a str"),
 ])
 def test_a_controller_that_does_not_fit_gets_one_line(controller, message):
+    rec, r = loop(1)
     with pytest.raises(InputError, match=message):
-        make_loop(controller, plant(), {"a": np.zeros((300, 1))}, DT, ["a"])
+        make_loop(controller, plant(), {rec.name: r}, DT, [rec])
 
 
 def test_a_black_box_cannot_be_closed():
@@ -171,3 +172,19 @@ def test_a_case_whose_controller_is_missing_ends_in_one_line(tmp_path, capsys, e
     assert main(["explain", str(folder), "-o", str(tmp_path / "out")]) == 2
     err = capsys.readouterr().err
     assert message in err and len(err.strip().splitlines()) == 1 and not (tmp_path / "out").exists()
+
+
+def test_one_recording_with_references_is_split_with_them():
+    recording, r = loop(3, samples=600)
+    report = explain(plant(), recording, None, ["A[1,0]"], controller=pd(True), references={recording.name: r},
+                     effects=effect_by_id("constant_load"))
+    assert report.content["closed_loop"]["references"]
+
+
+@pytest.mark.parametrize("array, message", [(np.zeros(50), "have 50 samples, the recording 300"),
+                                            (np.zeros((300, 1, 1)), "expected \\(N, n_references\\)")])
+def test_references_of_another_shape_get_one_line(array, message):
+    recordings = [loop(seed)[0] for seed in (1, 2)]
+    with pytest.raises(InputError, match=message):
+        explain(plant(), recordings[:1], recordings[1:], ["A[1,0]"], controller=pd(True),
+                references={r.name: array for r in recordings})

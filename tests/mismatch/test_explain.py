@@ -13,6 +13,7 @@ from tests_support import TRUE, oscillator, record
 from pwaid.errors import InputError
 from pwaid.mismatch import effects_table, explain, explain_case
 from pwaid.mismatch.case import load_case, write_case
+from pwaid.mismatch.effects.registry import effect_by_id
 
 SIMULATOR = '''"""Mass, spring, damper."""
 import control
@@ -148,3 +149,37 @@ def test_constant_output_and_mixed_sampling_are_refused():
         explain(oscillator(), [a], [b.replace(time=2 * b.time)], FREE)
     with pytest.raises(InputError, match="also a training recording"):
         explain(oscillator(), [a], [a], FREE)
+
+
+def test_recordings_of_one_name_keep_apart():
+    runs = [record(s, samples=300).replace(name="log") for s in (1, 2, 3)]
+    report = explain(oscillator(), runs[:1], runs[1:], ["b"], effects=effect_by_id("constant_load"))
+    assert list(report.fit) == ["log (2)", "log (3)"]
+
+
+def test_columns_in_another_order_than_the_simulators_own_names(tmp_path):
+    def recording(seed):
+        r = record(seed, samples=100)
+        return r.replace(outputs=np.hstack([np.gradient(r.outputs[:, 0], r.time)[:, None], r.outputs]),
+                         output_names=("v", "x"), units={"F": "N", "v": "m/s", "x": "m"})
+
+    source = SIMULATOR.replace("return np.array([x[0]])", "return x").replace('outputs=["x"]', 'outputs=["x", "v"]')
+    case = load_case(write_case(tmp_path, source, {"a.csv": recording(1)}, {"b.csv": recording(2)}, FREE))
+    assert case.plant.output_names == ("x", "v") and case.output_units == ("m", "m/s")
+    assert case.train[0].output_names == ("x", "v")
+
+
+def test_a_simulator_may_import_its_neighbours(tmp_path):
+    for folder, stiffness in (("one", 3.0), ("two", 4.0)):
+        source = SIMULATOR.replace("import numpy as np", "import numpy as np\nfrom helper import STIFFNESS").replace(
+            '"k": 3.2', '"k": STIFFNESS')
+        write_case(tmp_path / folder, source, {"a.csv": record(1, samples=60)}, {"b.csv": record(2, samples=60)}, FREE)
+        (tmp_path / folder / "helper.py").write_text(f"STIFFNESS = {stiffness}\n")
+        assert load_case(tmp_path / folder).plant.parameters["k"] == stiffness
+
+
+def test_a_folder_that_cannot_hold_results_is_found_out_first(tmp_path, clean_recordings):
+    folder = case(tmp_path / "case", clean_recordings)
+    with pytest.raises(InputError, match="cannot be written"):
+        explain_case(folder, folder / "case.toml" / "out")
+    assert not (folder / "explained").exists()

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import numpy as np
+import pytest
 from tests_support import gathered, pushed
 
 from pwaid.mismatch.decide import TOGETHER, decide
 from pwaid.mismatch.explain import conclude
+from pwaid.mismatch.floor import estimate_floor
 from pwaid.mismatch.hypotheses import floor_square
 from pwaid.mismatch.summary import verdict_sentence
 
@@ -29,3 +32,12 @@ def test_an_effect_that_only_held_out_recordings_excite_is_not_taken_for_paramet
     rich = pushed(3, lambda x, v: -4.0 * max(abs(x) - 0.3, 0.0) * x)
     found = gathered([*quiet, rich], "cubic_stiffness")
     assert decide(found.problem, found.null, found.singles, found.pairs).verdict == "unexplained"
+
+
+def test_a_reading_that_rarely_changes_has_the_floor_of_its_rounding():
+    t = np.arange(600.0)
+    y = np.round((20.0 + 5.0 * np.sin(0.01 * t)) / 0.5) * 0.5
+    binary = (np.sin(0.01 * t) > 0).astype(float)
+    for signal, level in ((y, 0.5 / np.sqrt(12.0)), (binary, 0.0), (np.sin(0.01 * t), 0.0)):
+        found = estimate_floor(np.zeros((600, 1)), signal[:, None], np.array([[0, 600, 0, 600]]), ["T"])
+        assert found.level[0] == pytest.approx(level)

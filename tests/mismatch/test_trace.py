@@ -275,3 +275,88 @@ def test_polynomials_of_a_transfer_function_come_through():
     x, u = np.array([0.2, -0.1]), np.array([0.5])
     expected = [-0.1, 0.08 * 0.5 + 0.12 * 0.1 - 0.36 * 0.2]
     np.testing.assert_allclose(plant.derivative(x, u, np.array([0.1, 0.08])), expected, rtol=1e-12)
+
+
+def wrapped(t, x, u, params):
+    """An angle brought into one turn by loops that wait for it."""
+    angle = x[0]
+    while angle > math.pi:
+        angle -= 2 * math.pi
+    while angle < -math.pi:
+        angle += 2 * math.pi
+    return np.array([x[1], u[0] - params["k"] * angle])
+
+
+def clipped_in_place(t, x, u, params):
+    force = np.array([u[0] * 1.0])
+    np.clip(force, -10.0, 10.0, out=force)
+    return np.array([x[1], params["k"] * force[0]])
+
+
+def written_over(t, x, u, params):
+    u *= params["k"]
+    return np.array([x[1], u[0]])
+
+
+def scaled_in_place(t, x, u, params):
+    v = np.array([x[1], 1.0])
+    np.multiply(v, params["k"], v)
+    return np.array([v[0], u[0] * v[1]])
+
+
+def with_handler(t, x, u, params):
+    position, v = x.tolist()
+    try:
+        sign = v / abs(v)
+    except ZeroDivisionError:
+        sign = 0.0
+    return np.array([v, u[0] + 1.0 - sign * params["k"]])
+
+
+def guarded(t, x, u, params):
+    with np.errstate(all="ignore"):
+        return np.array([x[1], u[0] - params["k"] * x[0]])
+
+
+def on_a_table(t, x, u, params):
+    return np.array([x[1], params["k"] * np.interp(x[0], [-1.0, 0.0, 1.0, 1.0], [2.0, 0.0, 1.0, 3.0]) + x[0] // 0.1])
+
+
+class Keeping:
+    """Keeps what belongs to the parameters it was called with last."""
+
+    def __init__(self):
+        self.last, self.gain, self.seen = None, 0.0, []
+
+    def __call__(self, t, x, u, params):
+        if self.last != params["k"]:
+            self.last, self.gain = params["k"], 1.0 / params["k"]
+        self.seen.append(x[0])
+        return np.array([x[1], u[0] * self.gain])
+
+
+@pytest.mark.parametrize("rhs, compiles", [
+    (wrapped, True), (clipped_in_place, True), (written_over, True), (scaled_in_place, None), (with_handler, False),
+    (guarded, True), (on_a_table, True), (Keeping(), True)])
+def test_special_points_are_those_of_the_original(rhs, compiles):
+    """Limits, rest, table ends and whole turns, which random points do not meet."""
+    plant = as_plant(control.nlsys(rhs, lambda t, x, u, params: x[:1], inputs=["u"], outputs=["y"], states=["a", "b"],
+                                   params={"k": 3.0}))
+    assert compiles is None or (plant.rhs is not None) == compiles
+    for x, u in (([0.0, 0.0], [0.0]), ([4.0, 1.0], [100.0]), ([-9.0, -3.0], [-20.0]), ([1.0, 0.0], [5.0]),
+                 ([14.5, 0.0], [0.0])):
+        want = np.asarray(rhs(0.0, np.array(x), np.array(u), {"k": 3.0}))
+        np.testing.assert_allclose(plant.derivative(x, u), want, rtol=1e-12)
+
+
+def test_a_loop_that_never_ends_is_a_divergence():
+    plant = as_plant(control.nlsys(wrapped, lambda t, x, u, params: x[:1], inputs=["u"], outputs=["y"],
+                                   states=["a", "b"], params={"k": 3.0}))
+    assert np.all(np.isnan(plant.derivative([1e20, 0.0], [0.0])))
+
+
+def test_what_a_run_on_symbols_left_behind_is_gone():
+    rhs = Keeping()
+    as_plant(control.nlsys(rhs, lambda t, x, u, params: x[:1], inputs=["u"], outputs=["y"], states=["a", "b"],
+                           params={"k": 3.0}))
+    assert isinstance(rhs.gain, float) and all(isinstance(v, float) for v in rhs.seen)

@@ -85,7 +85,7 @@ def check_names(plant: Plant, tolerances, noise_floor) -> None:
         for name, value in (given or {}).items():
             if name not in known:
                 raise InputError(f"{name!r} is no {what} of the simulator; it has {', '.join(known) or 'none'}")
-            if not value > 0:
+            if not 0 < value < np.inf:
                 raise InputError(f"{name!r} was given {value!r}; expected a positive number")
 
 

@@ -182,7 +182,7 @@ class BlackBox:
             options["x0"] = self.start + np.asarray(moved, dtype=float)
         result = self.simulate(U[:, :nu].copy(), **options)
         try:
-            y = np.asarray(result, dtype=float)
+            y = np.array(result, dtype=float)  # it may be an array that the callable fills again
         except (TypeError, ValueError) as error:
             raise InputError(f"the simulator returned {type(result).__name__}; expected numbers y (N, "
                              f"{len(self.outputs)})") from error

@@ -5,10 +5,13 @@ from __future__ import annotations
 import importlib.util
 import itertools
 import linecache
+import math
 import sys
+import tokenize
 import tomllib
-from collections.abc import Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -74,6 +77,7 @@ def load_case(folder) -> Case:
             raise InputError(f"{folder / name} does not exist; expected a recording listed in case.toml")
     free = table.get("free_parameters")
     plant, source = _load_simulator(folder / table["simulator"], inputs, outputs, free)
+    inputs, outputs = ({n: units[n] for n in names} for names in (plant.input_names, plant.output_names))
 
     controller = None
     if "controller" in table:
@@ -109,7 +113,9 @@ def _read_toml(path: Path) -> dict:
     if not path.is_file():
         raise InputError(f"{path} does not exist; expected a case folder with case.toml, a simulator and recordings")
     try:
-        table = tomllib.loads(path.read_text(encoding="utf-8"))
+        table = tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except UnicodeDecodeError as error:
+        raise InputError(f"{path} is not UTF-8 text; save it in that encoding") from error
     except tomllib.TOMLDecodeError as error:
         raise InputError(f"{path} is not valid TOML: {error}; correct that line") from error
     missing = [k for k in ("simulator", "train", "inputs", "outputs") if k not in table]
@@ -150,13 +156,16 @@ def _check_kinds(path: Path, table: Mapping) -> None:
     for key, (kind, wanted) in _KINDS.items():
         if key in table and not isinstance(table[key], kind):
             raise InputError(f"{key} in {path} is {table[key]!r}; expected {wanted}")
+    odd = [g for g in table.get("repeats", []) if not isinstance(g, list) or not all(isinstance(n, str) for n in g)]
+    if odd:
+        raise InputError(f"repeats in {path} holds {odd[0]!r}; expected {_KINDS['repeats'][1]}")
     for key in ("train", "test", "free_parameters"):
         odd = [v for v in table.get(key, []) if not isinstance(v, str)]
         if odd:
             raise InputError(f"{key} in {path} holds {odd[0]!r}; expected {_KINDS[key][1]}")
     for key in ("noise_floor", "tolerances"):
         for name, value in table.get(key, {}).items():
-            if isinstance(value, bool) or not isinstance(value, int | float) or not value > 0:
+            if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
                 raise InputError(f"{key} of {name!r} in {path} is {value!r}; expected a positive number")
 
 
@@ -169,18 +178,35 @@ def _build(path: Path, what: str, wanted: str):
     module = importlib.util.module_from_spec(spec)
     linecache.checkcache(str(path))
     sys.modules[name] = module
+    with _neighbours(path.parent):
+        try:
+            spec.loader.exec_module(module)
+        except (Exception, SystemExit) as error:
+            raise InputError(f"{path} raised {type(error).__name__}: {error}; it must import cleanly") from error
+        if not hasattr(module, "build"):
+            raise InputError(f"{path} has no build(); expected build() -> {wanted}")
+        try:
+            system = module.build()
+        except (Exception, SystemExit) as error:
+            raise InputError(f"build() in {path} raised {type(error).__name__}: {error}; it must return {wanted}"
+                             ) from error
+    with tokenize.open(path) as file:
+        return system, module.build, file.read()
+
+
+@contextmanager
+def _neighbours(folder: Path) -> Iterator[None]:
+    """While it lasts, modules of the folder can be imported; another case may have others of the same names."""
+    folder, known = folder.resolve(), set(sys.modules)
+    sys.path.insert(0, str(folder))
     try:
-        spec.loader.exec_module(module)
-    except (Exception, SystemExit) as error:
-        raise InputError(f"{path} raised {type(error).__name__}: {error}; it must import cleanly") from error
-    if not hasattr(module, "build"):
-        raise InputError(f"{path} has no build(); expected build() -> {wanted}")
-    try:
-        system = module.build()
-    except (Exception, SystemExit) as error:
-        raise InputError(f"build() in {path} raised {type(error).__name__}: {error}; it must return {wanted}"
-                         ) from error
-    return system, module.build, path.read_text(encoding="utf-8")
+        yield
+    finally:
+        sys.path.remove(str(folder))
+        for name in set(sys.modules) - known:
+            file = getattr(sys.modules[name], "__file__", None)
+            if file and Path(file).resolve().is_relative_to(folder):
+                del sys.modules[name]
 
 
 def _load_simulator(path: Path, inputs, outputs, free) -> tuple[Plant, str]:
@@ -193,9 +219,13 @@ def _load_simulator(path: Path, inputs, outputs, free) -> tuple[Plant, str]:
     if ny != len(outputs):
         raise InputError(f"the simulator has {ny} outputs, case.toml lists {len(outputs)} ({', '.join(outputs)}); "
                          "list them in the simulator's order")
-    names = dict(zip(plant.output_names, outputs, strict=True))
-    plant = Plant(**{**plant.__dict__, "input_names": tuple(inputs), "output_names": tuple(names.values())})
-    return plant, source
+    return replace(plant, input_names=_ordered(inputs, plant.input_names),
+                   output_names=_ordered(outputs, plant.output_names)), source
+
+
+def _ordered(listed, own: tuple[str, ...]) -> tuple[str, ...]:
+    """The columns in the simulator's order: that of its own names where they are the same, else as listed."""
+    return own if set(own) == set(listed) else tuple(listed)
 
 
 def _quote(names) -> str:

@@ -11,7 +11,7 @@ shows it in its commands.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -22,6 +22,7 @@ from pwaid.mismatch.fit import Fit, fit_starts
 from pwaid.mismatch.measures import fit_measures
 from pwaid.mismatch.model import LIMIT, Model, Settings
 from pwaid.mismatch.plant import Plant, as_plant
+from pwaid.recording import Recording
 
 __all__ = ["Loop", "Walk", "closed_loop_report", "controller_starts", "make_loop", "simulate_loop"]
 
@@ -40,14 +41,31 @@ class Loop:
         return next(iter(self.references.values())).shape[1] if self.references else 0
 
 
-def make_loop(system, plant: Plant, references: Mapping[str, np.ndarray], sample_time: float, names) -> Loop:
+def _checked(references: Mapping[str, np.ndarray], recordings: Sequence[Recording]) -> dict[str, np.ndarray]:
+    """References as arrays (N, n_references), one for each of the recordings."""
+    found = {name: np.asarray(array, dtype=float) for name, array in references.items()}
+    found = {name: array[:, None] if array.ndim == 1 else array for name, array in found.items()}
+    width = {array.shape[1:] for array in found.values()}
+    if len(width) > 1 or any(array.ndim != 2 for array in found.values()):
+        raise InputError(f"references have shapes {[a.shape for a in found.values()]}; expected (N, n_references) each")
+    for r in recordings if found else ():
+        if r.name not in found:
+            raise InputError(f"recording {r.name} has no references; expected them for every recording")
+        if len(found[r.name]) != len(r.time):
+            raise InputError(f"the references of {r.name} have {len(found[r.name])} samples, the recording "
+                             f"{len(r.time)}; expected one row a sample")
+    return found
+
+
+def make_loop(system, plant: Plant, references: Mapping[str, np.ndarray], sample_time: float,
+              recordings: Sequence[Recording]) -> Loop:
     """Check a controller against the plant it closes.
 
     Parameters
     ----------
     system : control system from (references, measured outputs) to the plant inputs; discrete at the sampling of the
         recordings, or continuous, its inputs then held between samples.
-    references : arrays (N, n_references) by recording name. names : the recordings that need them.
+    references : arrays (N, n_references), or (N,), by recording name. recordings : those that need them.
 
     Raises
     ------
@@ -57,9 +75,7 @@ def make_loop(system, plant: Plant, references: Mapping[str, np.ndarray], sample
     if plant.black_box is not None:
         raise InputError("a controller came with a black box simulate(u), which cannot be closed sample by sample; "
                          "give the right-hand side, or leave the controller out (closed_loop = true)")
-    missing = [n for n in names if references and n not in references]
-    if missing:
-        raise InputError(f"recording {missing[0]} has no references; expected them for every recording")
+    references = _checked(references, recordings)
     _, nu, ny = plant.sizes
     width = next(iter(references.values())).shape[1] if references else 0
     inputs = [f"r{i}" for i in range(width)] + list(plant.output_names)

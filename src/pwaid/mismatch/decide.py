@@ -130,7 +130,8 @@ def decide(problem: Problem, null: Hypothesis, singles: Sequence[Hypothesis], pa
     if passed_pairs:
         pair = _prefer_smaller(problem, passed_pairs[0], passed_pairs, t)
         return _name(problem, pair, passed_pairs, t, rng, reasons)
-    if _unrelated(problem, t) and not still_explained(problem, null, t, leftover(problem, null.fit, null.test)):
+    if _unrelated(problem, t) and not _unjudged(problem, t) and not still_explained(
+            problem, null, t, leftover(problem, null.fit, null.test)):
         reasons.append("what is left is small and past inputs do not predict it: a disturbance, not physics left out")
         return Decision(_agreement_or_parameters(problem, t), null, (), (), tuple(reasons))
     reasons.append("no effect removed enough of the held-out error")
@@ -224,6 +225,12 @@ def _unrelated(problem, t) -> bool:
     r = problem.test.Y - problem.null_test.Y
     small = np.sqrt(np.mean(r**2, axis=0)) < t.small * np.std(problem.test.Y, axis=0)
     return bool(np.all(small) and np.all(null_predictability(problem) < t.predicted))
+
+
+def _unjudged(problem, t) -> bool:
+    """Whether a black box leaves far more than the noise: no maps of its states can say that nothing is behind it."""
+    return problem.plant.black_box is not None and bool(
+        np.any(over_floor(problem, problem.null_test.Y, t) >= t.left))
 
 
 def null_predictability(problem) -> np.ndarray:

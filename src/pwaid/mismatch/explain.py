@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from pwaid.errors import InputError
+from pwaid.folders import ready_folder
 from pwaid.mismatch.access import (
     SlowSimulationWarning,
     check_names,
@@ -47,6 +48,18 @@ def _split(train: Sequence[Recording]) -> tuple[list[Recording], list[Recording]
     only = train[0]
     cut = 2 * len(only.time) // 3
     return [only[:cut]], [only[cut:].replace(name=f"{only.name}[{cut}:]")], cut
+
+
+def _told_apart(*sets: Sequence[Recording]) -> list[list[Recording]]:
+    """The recordings under different names: a second "log" becomes "log (2)"."""
+    seen: dict[str, int] = {}
+    found = []
+    for recordings in sets:
+        found.append([])
+        for r in recordings:
+            seen[r.name] = seen.get(r.name, 0) + 1
+            found[-1].append(r if seen[r.name] == 1 else r.replace(name=f"{r.name} ({seen[r.name]})"))
+    return found
 
 
 def explain(simulator, train, test=None, free_parameters: Sequence[str] | None = None, *,
@@ -103,9 +116,12 @@ def collect(simulator, train, test=None, free_parameters=None, *, units=None, to
     test = [] if test is None else ([test] if isinstance(test, Recording) else list(test))
     if not train:
         raise InputError("no training recording came; expected at least one")
-    ran = 0
+    train, test = _told_apart(train, test)
+    ran, only = 0, train[0].name
     if not test:
         train, test, ran = _split(train)
+    if ran and references and only in references:
+        references = {**references, test[0].name: references[only][ran:]}
     for name in without:
         effect_by_id(name)
     plant, notes = as_plant(simulator, train[0].input_names, train[0].output_names, source=source), []
@@ -113,7 +129,7 @@ def collect(simulator, train, test=None, free_parameters=None, *, units=None, to
     check_names(plant, tolerances, noise_floor)
     loop = None
     if controller is not None:
-        loop = make_loop(controller, plant, references or {}, train[0].sample_time, [r.name for r in test])
+        loop = make_loop(controller, plant, references or {}, train[0].sample_time, test)
     units = {**train[0].units, **(units or {})}
     data, held = Dataset.from_recordings(train), Dataset.from_recordings(test).after(ran)
     if plant.black_box is not None:
@@ -203,12 +219,10 @@ def explain_case(case_dir, out=None, jobs: int = 1, progress: Callable | None = 
         For an unusable case; nothing is written then.
     """
     started = clock.perf_counter()
-    out = Path(out) if out is not None else Path(case_dir) / "explained"
-    if out.exists() and not out.is_dir():
-        raise InputError(f"{out} is a file; expected a folder for the results")
     case = load_case(case_dir)
-    report = conclude(collect_case(case, jobs, progress, without), None, started, progress, jobs)
-    write_report(report, out, case.simulator_source)
+    with ready_folder(Path(case_dir) / "explained" if out is None else out) as folder:
+        report = conclude(collect_case(case, jobs, progress, without), None, started, progress, jobs)
+        write_report(report, folder, case.simulator_source)
     return report
 
 

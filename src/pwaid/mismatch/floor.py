@@ -29,6 +29,17 @@ def white_level(signal, order: int = 3) -> float:
     return float(np.median(np.abs(d)) / 0.6745 / np.sqrt(_GAIN[order]))
 
 
+def _step(signal) -> float:
+    """The step of a rounded signal: what its distinct values are multiples apart of; 0 where they are not."""
+    values = np.unique(signal)
+    apart = np.diff(values)
+    apart = apart[apart > 1e-6 * np.max(apart, initial=0.0)]
+    if len(apart) < 4 or 4 * len(apart) > len(signal):
+        return 0.0
+    step = float(np.min(apart))
+    return step if np.all(np.abs(apart / step - np.round(apart / step)) < 1e-2) else 0.0
+
+
 def estimate_floor(residual, outputs, segments, output_names: Sequence[str],
                    given: Mapping[str, float] | None = None,
                    repeats: Sequence[Sequence[np.ndarray]] = ()) -> Floor:
@@ -50,6 +61,7 @@ def estimate_floor(residual, outputs, segments, output_names: Sequence[str],
         for a, b in segments[:, :2]:
             parts.append(min(white_level(residual[a:b, k], 3), white_level(outputs[a:b, k], 4) * 1.2))
         level[k] = float(np.median(parts)) if parts else 0.0
+        level[k] = level[k] or _step(outputs[:, k]) / np.sqrt(12.0)
     spread = []
     for group in repeats:
         n = min(len(y) for y in group)

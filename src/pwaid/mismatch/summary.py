@@ -119,8 +119,8 @@ def verdict_sentence(c: dict) -> str:
     ratio, output = _worst(c, "refitted")
     size = f"the held-out error of {output} is {ratio:.{1 if ratio < 10 else 0}f} times the noise" if output else ""
     if verdict == "unexplained":
-        return _sentence(f"the mismatch is real ({size} after refitting the parameters) and nothing in the catalogue "
-                         "explains it.")
+        left = f" ({size} after refitting the parameters)" if size else ""
+        return _sentence(f"the mismatch is real{left} and nothing in the catalogue explains it.")
     if any(r.startswith(TOGETHER) for r in c.get("reasons", ())):
         return (f"No missing physics is seen: {TOGETHER}, the simulator matches to the noise; the training recordings "
                 "alone do not determine its parameters.")
@@ -133,6 +133,8 @@ def verdict_sentence(c: dict) -> str:
 
 def _remains(ratio: float, size: str) -> str:
     """What is left when nothing was named; past the noise it is a disturbance, by the rule of the decision."""
+    if not size:
+        return "."
     if ratio > Thresholds().material ** 0.5:
         return f" up to a disturbance that past inputs do not predict: {size}."
     return f" ({size})."

@@ -15,6 +15,9 @@ import numpy as np
 __all__ = ["FUNCTIONS", "Symbol", "Tape", "TraceFailure", "apply", "by_name", "elementwise", "is_symbolic"]
 
 
+LONGEST = 200  # decisions on one way through: beyond it a loop waits for a number
+
+
 class TraceFailure(BaseException):
     """The function needs a number where only a symbol is known; no `except Exception` of its code may swallow it."""
 
@@ -32,7 +35,7 @@ FUNCTIONS: dict[str, tuple[Callable, str]] = {
     "add": (operator.add, "({} + {})"), "subtract": (operator.sub, "({} - {})"),
     "multiply": (operator.mul, "({} * {})"), "divide": (np.true_divide, "({} / {})"),
     "power": (np.float_power, "({} ** {})"), "remainder": (np.remainder, "np.remainder({}, {})"),
-    "floor_divide": (np.floor_divide, "np.floor({} / {})"), "negative": (operator.neg, "(-{})"),
+    "floor_divide": (np.floor_divide, "({} // {})"), "negative": (operator.neg, "(-{})"),
     "less": (operator.lt, "({} < {})"), "less_equal": (operator.le, "({} <= {})"),
     "equal": (operator.eq, "({} == {})"), "not_equal": (operator.ne, "({} != {})"),
     "logical_and": (np.logical_and, "({} and {})"), "logical_or": (np.logical_or, "({} or {})"),
@@ -91,6 +94,8 @@ class Tape:
             return not self.decide(rest[0])
         if node not in self._known:
             k = len(self.path)
+            if k >= LONGEST:
+                raise TraceFailure(f"it takes more than {LONGEST} decisions: does a loop wait for a number?")
             self._known[node] = self.prefix[k] if k < len(self.prefix) else True
             self.path.append((node, self._known[node]))
         return self._known[node]

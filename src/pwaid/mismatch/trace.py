@@ -6,7 +6,10 @@ becomes a function of plain arithmetic.
 
 from __future__ import annotations
 
+import copy
+import inspect
 import opcode
+import types
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
@@ -14,7 +17,7 @@ import numpy as np
 from numba import njit
 
 from pwaid.mismatch.symbolic import FUNCTIONS, Symbol, Tape, TraceFailure
-from pwaid.mismatch.traced_numpy import replaced
+from pwaid.mismatch.traced_numpy import catches, replaced
 
 __all__ = ["traced"]
 
@@ -42,7 +45,9 @@ def traced(function: Callable, size: int, nx: int, nu: int, names: Mapping[str, 
     TraceFailure
         When the function needs a number, has too many ways through, or does not return `size` numbers.
     """
-    tape = Tape()
+    if catches(function):
+        raise TraceFailure("it handles errors, which symbols do not raise")
+    function, tape = _copied(function), Tape()
     x, u = (np.array([tape.symbol("input", f"{letter}[{i}]") for i in range(n)], dtype=object)
             for letter, n in (("x", nx), ("u", nu)))
 
@@ -58,6 +63,16 @@ def traced(function: Callable, size: int, nx: int, nu: int, names: Mapping[str, 
     space = {"np": np, "_solve": _solve_columns, "_interp": _interpolate, **writer.tables}
     exec(compile(text, "<pwaid traced>", "exec"), space)
     return space["traced"], raises
+
+
+def _copied(function: Callable) -> Callable:
+    """A copy of the object behind a method or a callable: it may keep what it is called with."""
+    try:
+        if inspect.ismethod(function) and not inspect.isclass(function.__self__):
+            return types.MethodType(function.__func__, copy.deepcopy(function.__self__))
+        return function if inspect.isroutine(function) or inspect.isclass(function) else copy.deepcopy(function)
+    except Exception as error:
+        raise TraceFailure(f"its object cannot be copied ({type(error).__name__})") from error
 
 
 def _explore(tape: Tape, once: Callable) -> tuple[_Branch, bool]:
@@ -219,7 +234,7 @@ def _interpolate(v, x, y, left, right):
     """`numpy.interp` of one value."""
     if v < x[0]:
         return left
-    if v > x[-1]:
-        return right
+    if v >= x[-1]:
+        return y[-1] if v == x[-1] else right
     k = min(max(np.searchsorted(x, v, side="right") - 1, 0), x.size - 2)
     return y[k] + (y[k + 1] - y[k]) / (x[k + 1] - x[k]) * (v - x[k])

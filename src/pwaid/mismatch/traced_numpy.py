@@ -6,8 +6,10 @@ functions of numbers take symbols, and arrays that are made can hold them.
 
 from __future__ import annotations
 
+import dis
 import functools
 import inspect
+import itertools
 import math
 import sysconfig
 import threading
@@ -30,7 +32,7 @@ from pwaid.mismatch.symbolic import (
     is_symbolic,
 )
 
-__all__ = ["as_numbers", "replaced"]
+__all__ = ["as_numbers", "catches", "replaced"]
 
 _LOCK = threading.RLock()  # modules are changed for the time of a run: one at a time
 _INSTALLED = tuple(str(Path(sysconfig.get_path(k)).resolve()) for k in ("stdlib", "platstdlib", "purelib", "platlib"))
@@ -44,13 +46,16 @@ def as_numbers(value):
 
 
 def _function(name: str, original: Callable) -> Callable:
-    spread = by_name(name)
+    spread, known = by_name(name), FUNCTIONS[name][0]
+    most = known.nin if isinstance(known, np.ufunc) else 2  # min, max and the operators
 
     @functools.wraps(original, updated=())
     def either(*arguments, **options):
         if any(is_symbolic(a) for a in arguments):
             if set(options) - {"dtype"}:
                 raise TraceFailure(f"it calls numpy's {name} with {', '.join(options)}")
+            if len(arguments) > most:
+                raise TraceFailure(f"it calls {name} with {len(arguments)} arguments")
             return spread(*arguments)
         return original(*(as_numbers(a) for a in arguments), **options)
 
@@ -70,6 +75,8 @@ def _choose(condition, a, b):
 
 
 def _clip(a, a_min=None, a_max=None, **bounds):
+    if bounds.keys() - {"min", "max"}:
+        raise TraceFailure(f"it calls numpy's clip with {', '.join(bounds)}")
     low, high = bounds.get("min", a_min), bounds.get("max", a_max)
     a = a if low is None else _MINE["maximum"](a, low)
     return a if high is None else _MINE["minimum"](a, high)
@@ -210,7 +217,8 @@ def _transfer(make: Callable) -> Callable:
 
 
 def _names(prefix) -> dict[str, Callable]:
-    found = {n: _function(n, getattr(prefix, n)) for n in FUNCTIONS if callable(getattr(prefix, n, None))}
+    found = {n: _function(n, getattr(prefix, n)) for n in FUNCTIONS
+             if isinstance(getattr(prefix, n, None), np.ufunc | types.BuiltinFunctionType)}
     return found | {n: _function(real, getattr(prefix, n)) for n, real in OTHER_NAMES.items()
                     if real in FUNCTIONS and callable(getattr(prefix, n, None))}
 
@@ -300,18 +308,44 @@ def _foreign(scope: dict) -> bool:
     return file is None or name.partition(".")[0] == "pwaid" or str(Path(file).resolve()).startswith(_INSTALLED)
 
 
+def catches(function: Callable) -> bool:
+    """Whether the function, or a helper of its module, handles errors: symbols raise none."""
+    functions = [f for f in _plain(function) if not _foreign(f.__globals__)]
+    for f in functions:
+        names = [v for n in f.__code__.co_names if inspect.isfunction(v := f.__globals__.get(n))]
+        functions += [v for v in names if v not in functions and not _foreign(v.__globals__)]
+    return any(_handles(f.__code__) for f in functions)
+
+
+def _handles(code: types.CodeType) -> bool:
+    """Whether there is an ``except`` in it, for certain errors or for all; ``with`` and ``finally`` are none."""
+    names = [step.opname for step in dis.get_instructions(code)]
+    return "CHECK_EXC_MATCH" in names or ("PUSH_EXC_INFO", "POP_TOP") in itertools.pairwise(names)
+
+
+def _forget(scope: dict, before: dict) -> None:
+    """Take out of a module what a run on symbols left there."""
+    for key, value in list(scope.items()):
+        if is_symbolic(value) and key in before:
+            scope[key] = before[key]
+        elif is_symbolic(value):
+            del scope[key]
+
+
 @contextmanager
 def replaced(function: Callable):
-    """While it lasts, the function and the helpers of its module see the replacements."""
+    """While it lasts, the function and the helpers of its module see the replacements; what it kept of a run in its
+    closure or its module goes afterwards."""
     stands, undo = _replacements(), []
     with _LOCK:
         try:
             for scope, cell in list(_scopes(function, set())):
                 if cell is not None:
+                    undo.append(functools.partial(setattr, cell, "cell_contents", cell.cell_contents))
                     if id(cell.cell_contents) in stands:
-                        undo.append(functools.partial(setattr, cell, "cell_contents", cell.cell_contents))
                         cell.cell_contents = stands[id(cell.cell_contents)]
                     continue
+                undo.append(functools.partial(_forget, scope, dict(scope)))
                 for key, value in list(scope.items()):
                     if id(value) in stands:
                         undo.append(functools.partial(scope.__setitem__, key, value))

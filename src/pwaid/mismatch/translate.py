@@ -20,6 +20,7 @@ from numba import njit
 __all__ = ["RAISES", "CompileFailure", "compile_function"]
 
 CONSTANT = "_constant_"
+MOST_ROUNDS = 10_000  # of a while loop
 RAISES = "raises"  # whether any function compiled so far can raise an error
 
 
@@ -61,6 +62,14 @@ class _Positions(ast.NodeTransformer):
                     return ast.Subscript(f.value, ast.Constant(self.names[key.value]), ast.Load())
                 return node.args[1] if len(node.args) > 1 else ast.Constant(None)
         return node
+
+    def visit_While(self, node):
+        """A loop that never ends, on numbers that run away, raises."""
+        self.generic_visit(node)
+        name = f"{CONSTANT}rounds_{node.lineno}"
+        count, check = ast.parse(f"{name} += 1\nif {name} > {MOST_ROUNDS}:\n    raise ArithmeticError").body
+        node.body = [count, check, *node.body]
+        return [*ast.parse(f"{name} = 0").body, node]
 
     def visit_Assign(self, node):
         """``a, b = x`` and ``a, b = x[2:]`` as one indexed assignment a name."""
@@ -132,7 +141,8 @@ def compile_function(function: Callable, names: Mapping[str, int], seen: dict | 
     if not isinstance(node, ast.FunctionDef) or node.name != function.__name__:
         raise CompileFailure("it is not a plain def")
     arguments = [a.arg for a in node.args.args]
-    seen[RAISES] = seen.get(RAISES, False) or any(isinstance(n, ast.Raise | ast.Assert) for n in ast.walk(node))
+    seen[RAISES] = seen.get(RAISES, False) or any(
+        isinstance(n, ast.Raise | ast.Assert | ast.While) for n in ast.walk(node))
     node.decorator_list, node.returns = [], None
     for a in node.args.args:
         a.annotation = None
