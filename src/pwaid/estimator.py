@@ -14,15 +14,16 @@ from pwaid.delaunay import SimplexMesh
 from pwaid.errors import InputError
 from pwaid.lambda_max import lambda_max
 from pwaid.lerp import barycentric_rows, hinge_matrix
-from pwaid.path import NO_FOLD, UNDETERMINED, fold_labels, lambda_grid, solve_path
+from pwaid.path import NO_FOLD, RULES, UNDETERMINED, fold_labels, lambda_grid, solve_path
 from pwaid.problem import HingeProblem
 from pwaid.pwa_map import PWAMap
 from pwaid.solve import check_lambda, solve
 
 __all__ = ["PWARegressor"]
 
-# Facets multiply by about 8 with each dimension (docs/limits.md); above this many inputs some enter linearly.
+# Facets multiply with each dimension (docs/limits.md); above this many inputs some enter linearly.
 MESH_DIMENSIONS = 4
+OUTSIDE = ("raise", "nan", "affine")
 CHOSEN_DIMENSIONS = 3
 # On the squared coefficients of standardised linear inputs, a sample: makes them unique when inputs repeat each other.
 RIDGE = 1e-8
@@ -128,6 +129,9 @@ class PWARegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         X : array_like, shape (N, n_features)
         y : array_like, shape (N,) or (N, n_outputs)
         """
+        for name, value, known in (("rule", self.rule, RULES), ("outside", self.outside, OUTSIDE)):
+            if value not in known:
+                raise InputError(f"{name} is {value!r}; expected one of {', '.join(map(repr, known))}")
         X, y = validate_data(self, X, y, dtype=float, multi_output=True, y_numeric=True)
         self._single = y.ndim == 1
         Y = y[:, None] if self._single else y
@@ -193,8 +197,6 @@ class PWARegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         if self.rule == "1se":
             error = squared.std(axis=0, ddof=min(1, len(squared) - 1))[best] / np.sqrt(len(squared))
             best = int(np.flatnonzero(mean <= mean[best] + error)[0])
-        elif self.rule != "min":
-            raise InputError(f"rule is {self.rule!r}; expected 'min' or '1se'")
         return solve(problem, grid[best], tol=self.tol), grid, np.sqrt(mean)
 
     def _problem(self, A, F, y) -> HingeProblem:

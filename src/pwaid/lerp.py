@@ -6,7 +6,7 @@ shared by simplices s and s′ with opposite vertices p′ (of s) and p (of s′
     e = ŷ_p − Lerp(x̂_p; s) = g · h
 
 is the jump g of the gradient's normal component times the distance h of p from the facet; seen from the other side
-it is g · h′ in magnitude. So one row a hinge, with a weight, says all (`design.md` section 4):
+it is g · h′ in magnitude. So one row a hinge, with a weight, says all:
 
     "pairs"  |g| (h + h′)         the sum over all neighbouring simplex–vertex pairs (2011 eq. 9; 2014 eq. 7, 10)
     "hinge"  |g| min(h, h′)       the error seen from the taller simplex, one term a hinge (2014 eq. 11)

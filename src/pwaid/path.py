@@ -86,7 +86,8 @@ def solve_path(
     Returns
     -------
     Path
-        One solution a λ. A λ whose solve fails keeps its place with the status ``FAILED``.
+        One solution a λ, or one at λ = 1 where λmax is 0. A λ whose solve fails keeps its place with the status
+        ``FAILED``.
     """
     _check_options(rule, method)
     if (X_val is None) != (y_val is None):
@@ -151,13 +152,15 @@ def cross_validate(
     -------
     Path
         `validation_rmse` is the root of the mean squared error over folds; `validation_se` its standard error from
-        the spread between folds.
+        the spread between folds. Folds without which the samples do not determine an affine function are left out
+        and named in `warnings`. Where the affine fit is best at every λ the path holds that one solution, and its error
+        over all samples.
     """
     _check_options(rule, method)
     X, y = check_samples(X, y, dimension=mesh.dimension)
     problem = HingeProblem.from_data(mesh, X, y, weighting=weighting, outside=outside)
     if problem.is_affine:
-        return solve_path(problem, tol=tol, method=method, mesh=mesh, progress=progress)
+        return solve_path(problem, tol=tol, method=method, mesh=mesh, X_val=X, y_val=y, rule=rule, progress=progress)
     label = fold_labels(len(X), k, folds, rng)
     largest = float(lambda_max(problem))
     grid = lambda_grid(largest, n_lambdas, ratio, start)

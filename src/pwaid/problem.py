@@ -80,7 +80,7 @@ class HingeProblem:
     Raises
     ------
     InputError
-        Shapes that do not fit, NaN, or fewer than d + 2 samples.
+        Shapes that do not fit, NaN, or fewer than 3 samples (d + 2 in `from_data` and `from_chunks`).
     """
 
     def __init__(

@@ -128,7 +128,7 @@ class Path:
     solutions : tuple of Solution
         One a λ, failed ones included (their `status` says so).
     lambda_max : float
-        The smallest λ with a flat solution.
+        The smallest λ with a flat solution; NaN for an explicit grid.
     validation_rmse : ndarray, shape (n,), optional
         RMSE on held-out data, in the unit of y; NaN where a solve failed.
     validation_se : ndarray, shape (n,), optional

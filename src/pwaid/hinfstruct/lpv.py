@@ -58,7 +58,8 @@ class LPVModel:
     A, B, C, D : arrays, shapes (d + 1, n, n), (d + 1, n, nu), (d + 1, ny, n), (d + 1, ny, nu)
         Coefficients in increasing powers of kappa.
     kappa_range : tuple of float
-        Where the local models lay; evaluation outside raises unless asked for.
+        Where the local models lay. Outside, `frozen` and `simulate` raise unless asked for, the nlsys holds the nearest
+        end, and `matrices` and `stacked` follow the polynomials.
     scheduling : str
         Name of the scheduling variable.
     """

@@ -1,7 +1,7 @@
 """Output-error polish: refine the parameters of a structured model on the recordings themselves.
 
-    minimise over theta and initial states   sum_k |y(k) - y_model(k)|²,   model discretised with the hold of
-    the inputs.
+    minimise over theta   sum_k |y(k) - y_model(k)|²,   model discretised with the hold of
+    the inputs, starting at rest.
 
 For white measurement noise this is maximum likelihood; start it from the restructured theta.
 Levenberg-Marquardt with exact sensitivities (Frechet derivatives of the matrix exponential).

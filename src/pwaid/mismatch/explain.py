@@ -79,10 +79,13 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
         ``simulate(u) -> y`` (`pwaid.mismatch.blackbox.BlackBox` lists its options).
     train, test : Recording or sequence of Recording; without test, the last recording (or the last
         third of a single one) is held out.
-    free_parameters : names of nominal parameters that may be wrong; all of them when None.
+    free_parameters : names of nominal parameters that may be wrong; when None all that are not 0, of matrix entries
+        those other than 0 and ±1, and only those of B and D when more than 12 are left.
     units : unit per channel name, where the recordings carry none.
     tolerances : relative tolerance per free parameter; 0.3 by default.
     noise_floor : level per output, in its unit. repeats : groups of recording names under one input.
+    hold : ``"zero"`` or ``"first"``, what inputs do between samples. thresholds : the numbers a verdict depends on.
+    source : text of the simulator, for the repaired one.
     closed_loop : whether the recordings come from a closed loop. controller : the control system that closed it,
         from (references, measured outputs) to the plant inputs; `references` its signals (N, n) by recording name.
     effects : the catalogue to try; the built-in one plus registered effects by default.
@@ -112,6 +115,8 @@ def collect(simulator, train, test=None, free_parameters=None, *, units=None, to
             jobs=1, progress=None, source="") -> Evidence:
     """Check what came, refit the nominal simulator, fit every hypothesis worth it; parameters as for `explain`."""
     say = progress or (lambda fraction, text: None)
+    if hold not in ("zero", "first"):
+        raise InputError(f"hold is {hold!r}; expected 'zero' or 'first'")
     train = [train] if isinstance(train, Recording) else list(train)
     test = [] if test is None else ([test] if isinstance(test, Recording) else list(test))
     if not train:
@@ -206,7 +211,7 @@ def _same_input(group) -> bool:
 
 def explain_case(case_dir, out=None, jobs: int = 1, progress: Callable | None = None,
                  without: Sequence[str] = ()) -> Report:
-    """Explain a case folder and write report.json, report.html and repaired_simulator.py.
+    """Explain a case folder and write report.json, report.html, report.txt and repaired_simulator.py.
 
     Parameters
     ----------

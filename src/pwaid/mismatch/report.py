@@ -300,7 +300,7 @@ def _collinear(h: Hypothesis, correlation) -> list[str]:
 
 
 def write_report(report: Report, out: Path, simulator_source: str) -> None:
-    """Write report.json, report.html and repaired_simulator.py; all are made before any is written."""
+    """Write report.json, report.html, report.txt and repaired_simulator.py; all are made before any is written."""
     comments = {}
     for k, e in enumerate(report.effects[:len(report.best.located)]):
         for name, v in e["parameters"].items():
