@@ -224,3 +224,25 @@ def test_one_command_stops_before_a_score_set_is_sealed_and_refuses_another_comp
     (tmp_path / "scores" / "pwaid" / "score.json").write_text("{}", encoding="utf-8")
     run_all.main([str(tmp_path), "--set", "score", "--n", "1", "--seal", "x", "--baselines", "bic", "majority"])
     assert calls[1:] == ["run.py", "baselines/bic.py", "run.py", "score.py", "score.py", "score.py"]
+
+
+def test_a_wrong_name_beside_the_right_one_is_a_wrong_name():
+    v = judge("c", entry("concealed_mask", "coulomb_friction", "input_delay"),
+              report("named", "coulomb_friction", "cubic_stiffness"), FAMILY)
+    assert v.facts["wrong_name"] and not v.facts["both"]
+    either = judge("c", entry("single", "coulomb_friction"), report("one_of", "coulomb_friction", "cubic_stiffness"),
+                   FAMILY)
+    assert not either.facts["wrong_name"] and either.facts["in_set"]
+
+
+def test_both_effects_stand_in_one_alternative_under_names_of_their_own():
+    pair = entry("pair", "coulomb_friction", "input_delay")
+    apart = {**report("one_of", "coulomb_friction", "input_delay"), "alternatives": [[0], [1]]}
+    together = {**report("one_of", "coulomb_friction", "input_delay", "actuator_lag"), "alternatives": [[0, 1], [2]]}
+    assert not judge("c", pair, apart, FAMILY).facts["both"]
+    assert judge("c", pair, together, FAMILY).facts["both"]
+    doubles = entry("pair", "head_offset", "sensor_offset")
+    for truth in doubles["effects"]:
+        truth["equivalents"] = ["head_offset", "sensor_offset"]
+    assert not judge("c", doubles, report("named", "head_offset"), FAMILY).facts["both"]
+    assert judge("c", doubles, report("named", "sensor_offset", "head_offset"), FAMILY).facts["both"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from dataclasses import dataclass, field
 
@@ -44,6 +45,8 @@ def judge(case, entry, report, families):
     kin = [{families.get(i, "") for i in a} for a in accepted]
     named_families = {families.get(i, "") for i in ids}
     small = len(set(ids)) <= LARGEST_SET
+    groups = [[ids[i] for i in g] for g in (report or {}).get("alternatives") or [range(len(ids))]] if ids else []
+    alien = [i for i in ids if not any(i in a for a in accepted)]
     out.facts = {
         "named": bool(ids),
         "failed": verdict == "failed",
@@ -53,10 +56,10 @@ def judge(case, entry, report, families):
         "exact_strict": bool(ids) and any(ids[0] == t["id"] for t in truths),
         "in_set": small and any(a & set(ids) for a in accepted),
         "family": bool(ids) and any(families.get(ids[0], "") in k for k in kin),
-        "both": small and len(truths) == 2 and all(a & set(ids) for a in accepted),
+        "both": small and len(truths) == 2 and any(_both(accepted, g) for g in groups),
         "both_family": small and len(truths) == 2 and all(k & named_families for k in kin),
         "extra_name": verdict == "named" and len(ids) > max(len(truths), 1),
-        "wrong_name": bool(ids) and not any(a & set(ids) for a in accepted),
+        "wrong_name": bool(alien) if verdict == "named" else bool(ids) and len(alien) == len(ids),
     }
     if report is None:
         return out
@@ -70,6 +73,12 @@ def judge(case, entry, report, families):
                 out.covered |= numbers.covered
                 out.unmatched += numbers.unmatched
     return out
+
+
+def _both(accepted, group):
+    """Whether one alternative of an answer names both effects, each by a name of its own."""
+    a, b = accepted
+    return any(i in a and j in b for i, j in itertools.permutations(group, 2))
 
 
 def removed_share(entry, report):

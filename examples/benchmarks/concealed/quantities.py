@@ -73,9 +73,9 @@ def compare(truth, entry, report):
     return out
 
 
-def primary(errors):
-    """Errors of the numbers that define an effect (damping, phases, shares of a spill left out)."""
-    return [v for label, v in errors.items() if label.split(".")[1] not in MINOR]
+def primary(found):
+    """Errors, or coverage, of the numbers that define an effect (damping, phases, shares of a spill left out)."""
+    return [v for label, v in found.items() if label.split(".")[1] not in MINOR]
 
 
 def _in_unit(truth, want, value):

@@ -60,7 +60,7 @@ def summarise(verdicts):
         out[measure] = _proportion(sum(bool(v.facts[measure]) for v in verdicts), n)
     removed = [v.removed for v in verdicts if v.removed is not None]
     errors = [e for v in verdicts for e in primary(v.errors)]
-    covered = [c for v in verdicts for c in v.covered.values()]
+    covered = [c for v in verdicts for c in primary(v.covered)]
     anyhow = [v.removed_any for v in verdicts if v.removed_any is not None]
     if removed:
         out["removed_median"] = round(float(np.median(removed)), 4)

@@ -69,6 +69,12 @@ def comparison(scores, nameless=()):
         for cell in CELLS:
             shown = [NO_CASES if tool in nameless else _shown(s, cell, name, measure) for tool, s in scores.items()]
             lines.append(f"| {row} | {cell} | " + " | ".join(shown) + " |")
+    for name in ("clean", "parameters"):
+        for cell in CELLS:
+            shown = [NO_CASES if tool in nameless else _shown(s, cell, name, "absent_name")
+                     for tool, s in scores.items()]
+            lines.append(f"| names something that is not there ({name}; small effects that are there do not count) | "
+                         f"{cell} | " + " | ".join(shown) + " |")
     for cell in CELLS:
         shown = [_shown(s, cell, "single", "removed_any_median") for s in scores.values()]
         lines.append(f"| explainable held-out error removed, named or not (median) | {cell} | "
