@@ -241,8 +241,8 @@ def test_both_effects_stand_in_one_alternative_under_names_of_their_own():
     together = {**report("one_of", "coulomb_friction", "input_delay", "actuator_lag"), "alternatives": [[0, 1], [2]]}
     assert not judge("c", pair, apart, FAMILY).facts["both"]
     assert judge("c", pair, together, FAMILY).facts["both"]
-    doubles = entry("pair", "head_offset", "sensor_offset")
+    doubles = entry("pair", "coulomb_friction", "constant_load")
     for truth in doubles["effects"]:
-        truth["equivalents"] = ["head_offset", "sensor_offset"]
-    assert not judge("c", doubles, report("named", "head_offset"), FAMILY).facts["both"]
-    assert judge("c", doubles, report("named", "sensor_offset", "head_offset"), FAMILY).facts["both"]
+        truth["equivalents"] = ["coulomb_friction", "constant_load"]
+    assert not judge("c", doubles, report("named", "coulomb_friction"), FAMILY).facts["both"]
+    assert judge("c", doubles, report("named", "constant_load", "coulomb_friction"), FAMILY).facts["both"]
