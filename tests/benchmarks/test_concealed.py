@@ -169,7 +169,7 @@ def test_a_closed_loop_has_a_held_command_and_no_repeats():
     order = np.random.default_rng(0).permutation(len(IDS))
     for attempt in range(60):
         rng = np.random.default_rng([1, attempt])
-        recipe = classes._recipe("concealed_controller", "rich", attempt, attempt, 1.0, rng, order)
+        recipe = classes._recipe("concealed_controller", "rich", attempt, attempt, 1.0, rng, order, 0)
         assert (recipe.excitation, recipe.hold, recipe.repeats) == ("closed_loop", "zero", False)
 
 
@@ -219,3 +219,20 @@ def test_the_clutters_curved_sensor_is_the_effects_own():
     first, second = ([s["sensor_cubic"] for s in slots[k::2] if "sensor_cubic" in s] for k in (0, 1))
     assert first and min(first) > 0.3
     assert second and max(second) < 2e-14
+
+
+def test_later_sets_leave_out_other_effects_under_other_conditions():
+    order, rng = np.arange(len(IDS)), np.random.default_rng(0)
+
+    def drawn(name, cell, turn, count):
+        places = [classes._turned(name, cell, i, turn) for i in range(count)]
+        return [classes._recipe(name, cell, i, 0, 1.0, rng, order, turn) for i in places]
+
+    def ids(recipes):
+        return {r.effects[0][0] for r in recipes}
+
+    assert ids(drawn("left_out", "rich", 0, 20)) == ids(drawn("left_out", "hard", 0, 20)) == set(IDS[:20])
+    later = [ids(drawn("left_out", cell, turn, 20)) for turn in (1, 2) for cell in ("rich", "hard")]
+    assert set.union(*later) == set(IDS)
+    seen = [{r.effects[0][0]: r.excitation for r in drawn("single", "hard", turn, 42)} for turn in (0, 1, 2)]
+    assert all(len({s[i] == "closed_loop" for s in seen}) == 2 or len({s[i] for s in seen}) > 1 for i in IDS)

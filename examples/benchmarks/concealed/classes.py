@@ -9,6 +9,7 @@ import numpy as np
 from concealed.case import STRANGERS, Recipe, Rejected, build
 from concealed.catalogue import CONTAINED_IN, FAMILY, IDS, THRESHOLDS
 from concealed.plants import PLANTS
+from concealed.seeds import turn_of
 from concealed.visibility import measure
 
 CELLS = ("rich", "hard")
@@ -51,11 +52,12 @@ def generate(name, cell, index, seed):
     case : Case
         With margins filled in.
     """
-    order = np.random.default_rng(20261122).permutation(len(IDS))
+    order, turn = np.random.default_rng(20261122).permutation(len(IDS)), turn_of(seed)
+    index = _turned(name, cell, index, turn)
     for attempt in range(ATTEMPTS):
         rng = np.random.default_rng([seed, attempt])
         size = GROWTH[min(attempt, len(GROWTH) - 1)]
-        recipe = _recipe(name, cell, index, attempt, size, rng, order)
+        recipe = _recipe(name, cell, index, attempt, size, rng, order, turn)
         try:
             case = build(recipe, rng)
             measure(case)
@@ -68,20 +70,26 @@ def generate(name, cell, index, seed):
     raise RuntimeError(message + "; widen the recipe")
 
 
+def _turned(name, cell, index, turn):
+    """Where a case stands in the lists of effects: sets of few cases differ in what they hold, and so do cells."""
+    return index + 13 * turn + (len(IDS) // 2 if turn and name == "left_out" and cell == "hard" else 0)
+
+
 def _plants_with(effects, rng, among=None):
     fits = [n for n, p in PLANTS.items() if all(e in p.effects for e in effects)
             and (among is None or n in among)]
     return str(rng.choice(fits)) if fits else None
 
 
-def _recipe(name, cell, index, attempt, size, rng, order):
+def _recipe(name, cell, index, attempt, size, rng, order, turn):
     effects = _effects(name, index, size, rng, order)
     wanted = [e for e, _ in effects]
     among = ("two_mass_drive",) if name == "concealed_output" else None
     plant = _plants_with(wanted, rng, among)
     if name == "out_of_catalogue" and STRANGERS[index % len(STRANGERS)] == "torque_speed_limit":
         plant = str(rng.choice(["rotary_drive", "linear_drive", "two_mass_drive", "dc_motor"]))
-    condition = CONDITIONS[(index + index // len(IDS)) % 3] if cell == "hard" else ""
+    kinds = len(STRANGERS) if turn and name == "out_of_catalogue" else len(IDS)
+    condition = CONDITIONS[(index + index // kinds + turn) % 3] if cell == "hard" else ""
     recipe = Recipe(plant=plant, excitation=str(rng.choice(["multisine", "multisine", "steps"])),
                     noise=rng.uniform(0.01, 0.05), effects=tuple(effects),
                     hold="first" if cell == "rich" and rng.uniform() < 0.1 else "zero",
