@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import inspect
 import math
 from math import sin
 
@@ -10,9 +11,12 @@ import control
 import numpy as np
 import numpy.linalg as la
 import pytest
+from scipy.linalg import expm
 
 from pwaid.mismatch.built import with_arguments
 from pwaid.mismatch.compile_rhs import CompileFailure, compiled_pair
+from pwaid.mismatch.dataset import Dataset
+from pwaid.mismatch.model import Model, Settings
 from pwaid.mismatch.plant import as_plant
 from pwaid.mismatch.symbolic import Tape, TraceFailure
 from pwaid.mismatch.trace import MOST_PATHS, traced
@@ -224,7 +228,7 @@ def test_what_build_cannot_be_traced_through_is_built_again():
         return control.tf([k], [T, 1.0], inputs=["u"], outputs=["y"])
 
     built = with_arguments(as_plant(build()), build, None)
-    assert dict(built.parameters) == {"k": 2.0, "T": 0.5} and built.rhs is None
+    assert dict(built.parameters) == {"k": 2.0, "T": 0.5} and built.rhs is not None
     x = np.array([0.7])
     assert built.outputs(x, np.zeros(1), np.array([4.0, 0.5]))[0] == pytest.approx(
         2 * built.outputs(x, np.zeros(1), np.array([2.0, 0.5]))[0])
@@ -360,3 +364,55 @@ def test_what_a_run_on_symbols_left_behind_is_gone():
     as_plant(control.nlsys(rhs, lambda t, x, u, params: x[:1], inputs=["u"], outputs=["y"], states=["a", "b"],
                            params={"k": 3.0}))
     assert isinstance(rhs.gain, float) and all(isinstance(v, float) for v in rhs.seen)
+
+
+def _interconnected(L1=2.4e-3, R1=0.62):
+    coil = control.ss([[-R1 / L1]], [[1 / L1, -1 / L1]], [[1.0]], [[0.0, 0.0]], inputs=["v_inv", "v_cap"],
+                      outputs=["i_inv"], name="coil")
+    capacitor = control.ss([[-500.0]], [[3e4]], [[1.0]], 0, inputs=["i_inv"], outputs=["v_cap"], name="capacitor")
+    return control.interconnect([coil, capacitor], inputs=["v_inv"], outputs=["v_cap"])
+
+
+def _discretised(kg=11.0, kw=0.9):
+    A, B = np.array([[-1 / 900.0, 0.0], [1 / 4500.0, -kw / 4500.0]]), np.array([[kg / 900.0], [0.0]])
+    M = expm(np.block([[A, B], [np.zeros((1, 3))]]) * 60.0)
+    return control.ss(M[:2, :2], M[:2, 2:], [[0.0, 1.0]], 0, 60.0, inputs=["gate"], outputs=["level"])
+
+
+def _sampled(C1=350.0, R1=0.008):
+    return control.sample_system(control.ss([[-1 / (R1 * C1)]], [[1 / C1]], [[1.0]], [[R1]], inputs=["i"],
+                                            outputs=["v"]), 0.2)
+
+
+def _named_later(J=2.4e-4, b=6e-5):
+    system = control.StateSpace([[-b / J]], [[1 / J]], [[1.0]], [[0.0]])
+    system.set_inputs(["torque"])
+    system.set_outputs(["speed"])
+    return system
+
+
+@pytest.mark.parametrize("build", [_interconnected, _discretised, _sampled, _named_later])
+def test_a_linear_build_that_symbols_do_not_get_through_follows_its_arguments(build):
+    system = build()
+    plant = with_arguments(as_plant(system), build, list(inspect.signature(build).parameters))
+    assert plant.rhs is not None and plant.linear and set(plant.parameters) == set(inspect.signature(build).parameters)
+    rng = np.random.default_rng(0)
+    for factor in (1.0, 1.3):
+        values = {n: factor * v for n, v in plant.parameters.items()}
+        other, p = build(**values), np.array(list(values.values()))
+        x, u = rng.normal(size=other.nstates), rng.normal(size=other.ninputs)
+        moved = other.A @ x + other.B @ u
+        moved = (moved - x) / plant.dt if plant.dt else moved
+        np.testing.assert_allclose(plant.derivative(x, u, p), moved, rtol=1e-10)
+        np.testing.assert_allclose(plant.outputs(x, u, p), other.C @ x + other.D @ u, rtol=1e-12)
+    settings = Settings(plant, np.full(other.nstates, -1), np.zeros(other.nstates), tuple(plant.parameters),
+                        np.full(len(p), 0.3))
+    data = Dataset(("r",), rng.normal(size=(50, 1)), np.zeros((50, 1)), np.array([[0, 50, 0, 50]]), plant.dt or 1e-4)
+    model, start = Model(settings), np.zeros((1, other.nstates))
+    Y = model.simulate(np.log([1.3, 1.3]), start, data)[0]
+    np.testing.assert_allclose(Y, model.simulate_many([(np.log([1.3, 1.3]), start)], data)[0])
+    if plant.dt:
+        x = np.zeros(other.nstates)
+        for k in range(50):
+            np.testing.assert_allclose(Y[k], other.C @ x + other.D @ data.U[k], rtol=1e-9, atol=1e-12)
+            x = other.A @ x + other.B @ data.U[k]

@@ -8,12 +8,13 @@ from __future__ import annotations
 
 import inspect
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 
 import control
 import numpy as np
 
 from pwaid.mismatch.interconnected import equations
-from pwaid.mismatch.plant import Plant, checked, whole_or_real
+from pwaid.mismatch.plant import Plant, checked, linear_behind, whole_or_real
 from pwaid.mismatch.realise import realise
 from pwaid.mismatch.symbolic import Symbol
 
@@ -64,9 +65,40 @@ def _around(plant: Plant, build: Callable, arguments: dict[str, float]) -> Plant
         return seen(t, x, u, {**others, **{n: v for n, v in params.items() if n not in arguments}})
 
     update.runs = output.runs = (build,)
-    return checked(Plant(update, output, plant.state_names, plant.input_names, plant.output_names,
-                         {**arguments, **own}, plant.constants, dt=plant.dt, source=plant.source, linear=plant.linear,
-                         arguments=tuple(arguments)))
+    found = Plant(update, output, plant.state_names, plant.input_names, plant.output_names, {**arguments, **own},
+                  plant.constants, dt=plant.dt, source=plant.source, linear=plant.linear, arguments=tuple(arguments))
+    compiled = checked(found)
+    return compiled if compiled.rhs is not None or not plant.linear else _by_matrices(found, build)
+
+
+def _by_matrices(plant: Plant, build: Callable) -> Plant:
+    """A linear plant whose build() cannot be run on symbols: its matrices are taken from build() for every set of
+    values, and the compiled forms read their entries."""
+    known: dict[bytes, np.ndarray] = {}
+    count = sum(a * b for a, b in _shapes(plant))
+
+    def entries(p) -> np.ndarray:
+        key = np.asarray(p, dtype=float).tobytes()
+        if key not in known:
+            if len(known) >= KEPT:
+                known.clear()
+            try:
+                system = build(**dict(zip(plant.arguments, map(float, p), strict=True)))
+                system = realise(system) if isinstance(system, control.TransferFunction) else system
+                found = np.concatenate([np.ravel(M) for M in (system.A, system.B, system.C, system.D)]).astype(float)
+            except Exception as error:  # values that build() refuses count as diverged
+                plant.raised.add(f"{type(error).__name__}: {error}")
+                found = np.full(count, np.nan)
+            known[key] = found if found.size == count else np.full(count, np.nan)
+        return known[key]
+
+    rhs, out = linear_behind(len(plant.arguments))
+    return replace(plant, rhs=rhs, out=out, entries=entries)
+
+
+def _shapes(plant: Plant) -> list[tuple[int, int]]:
+    nx, nu, ny = plant.sizes
+    return [(nx, nx), (nx, nu), (ny, nx), (ny, nu)]
 
 
 def _numbers(build: Callable) -> dict[str, int | float]:

@@ -18,7 +18,7 @@ from pwaid.mismatch.engine import RHS_TYPE
 from pwaid.mismatch.interconnected import equations_of_parts
 from pwaid.mismatch.realise import realise
 
-__all__ = ["Plant", "as_plant", "called_with_arrays", "checked", "takes_arrays", "whole_or_real"]
+__all__ = ["Plant", "as_plant", "called_with_arrays", "checked", "linear_behind", "takes_arrays", "whole_or_real"]
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,8 @@ class Plant:
 
     A black box has `black_box` instead of equations, `dt` = 1 (one call covers all samples), its start as
     states, `force_names` for its force hook, and `gains`, pairs (input, position of its gain parameter).
-    `arguments` are the parameters that build() takes, see `pwaid.mismatch.built`.
+    `arguments` are the parameters that build() takes, see `pwaid.mismatch.built`; `entries` gives the matrix entries
+    that follow from them, which the compiled forms read behind the parameters.
     """
 
     update: Callable
@@ -56,6 +57,7 @@ class Plant:
     force_units: tuple[str, ...] = ()
     gains: tuple[tuple[int, int], ...] = ()
     arguments: tuple[str, ...] = ()
+    entries: Callable | None = field(default=None, repr=False)
 
     @property
     def start_sizes(self) -> np.ndarray:
@@ -70,6 +72,10 @@ class Plant:
         """Nominal parameter values by position; one zero when there are none, for the compiled loop."""
         return np.array(list(self.parameters.values()), dtype=float) if self.parameters else np.zeros(1)
 
+    def full(self, p) -> np.ndarray:
+        """The parameters with what the compiled forms read behind them."""
+        return p if self.entries is None else np.concatenate([p, self.entries(p)])
+
     def derivative(self, x, u, p=None, t: float = 0.0) -> np.ndarray:
         """dx/dt at one point; of a discrete simulator its change over a step, per second."""
         return self._rate(np.asarray(x, dtype=float), self._update_at(x, u, self.vector() if p is None else p, t))
@@ -82,7 +88,7 @@ class Plant:
         x, u = np.asarray(x, dtype=float).copy(), np.asarray(u, dtype=float).copy()
         if self.rhs is not None:
             dx = np.empty(len(x))
-            self.rhs(t, x, u, p, dx)
+            self.rhs(t, x, u, self.full(p), dx)
             return dx
         return self._called(self.update, t, x, u, p, len(x))
 
@@ -92,7 +98,7 @@ class Plant:
         p = self.vector() if p is None else p
         if self.out is not None:
             y = np.empty(len(self.output_names))
-            self.out(t, x, u, p, y)
+            self.out(t, x, u, self.full(p), y)
             return y
         if self.output is None:
             return x
@@ -180,6 +186,18 @@ def _linear_out(t, x, u, p, y):
         for j in range(m):
             s += p[base + y.size * n + i * m + j] * u[j]
         y[i] = s
+
+
+def linear_behind(first: int) -> tuple[Callable, Callable]:
+    """The compiled forms of a linear system whose matrix entries begin at position `first` of the parameters."""
+
+    def rhs(t, x, u, p, dx):
+        _linear_rhs(t, x, u, p[first:], dx)
+
+    def out(t, x, u, p, y):
+        _linear_out(t, x, u, p[first:], y)
+
+    return tuple(njit(RHS_TYPE.signature, nogil=True, error_model="numpy")(f) for f in (rhs, out))
 
 
 def _from_state_space(system: control.StateSpace, source: str) -> Plant:

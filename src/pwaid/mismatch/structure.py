@@ -304,6 +304,8 @@ class Structure:
     def drifting_parameters(self) -> list[Place]:
         if self.plant.black_box is not None and not self.plant.gains:
             return []  # its parameters hold for a whole call
+        if self.plant.entries is not None:
+            return []  # its matrices are made before a simulation
         names = list(self.plant.parameters)
         return [self.place("parameter", name, ["t"],
                            [0, 0, 0, -1, -1, -1, -1, -1, -1, -1, names.index(name), 0])

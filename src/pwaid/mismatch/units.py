@@ -16,7 +16,7 @@ _KINDS = {
     "time": ("s", "min", "h", "d"), "power": ("W", "hp"), "volume": ("l", "L"), "charge": ("Ah", "As", "Coulomb"),
     "energy": ("J", "Wh"), "frequency": ("Hz",), "resistance": ("Ohm", "ohm", "Ω"), "inductance": ("H",),
     "field": ("T",), "capacitance": ("F",),
-    "plain": ("1", "-", "%", "", "counts", "count", "pu", "rpm", "ticks", "lsb"),
+    "plain": ("1", "-", "%", "", "counts", "count", "pu", "rpm", "krpm", "ticks", "lsb"),
 }
 _PREFIXES = {"p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "c": 1e-2, "h": 1e2, "k": 1e3, "M": 1e6, "G": 1e9}
 _PREFIXED = ("rad", "m", "N", "V", "A", "K", "Pa", "bar", "g", "s", "W", "l", "L", "Ah", "J", "Wh", "Hz", "Ohm", "ohm",
@@ -120,7 +120,7 @@ def scaled_unit(text: str, gain: float, offset: float = 0.0) -> dict[str, int]:
         return powers
     size = math.prod(factor_of(s) ** n for s, n in powers.items())
     if not powers and "rpm" in text:
-        powers, size = {"rad": 1, "s": -1}, 2 * math.pi / 60
+        powers, size = {"rad": 1, "s": -1}, 2 * math.pi / 60 * (1e3 if "krpm" in text else 1.0)
     if abs(size * abs(gain) - 1) > 1e-3:
         return {}
     found: dict[str, int] = {}
