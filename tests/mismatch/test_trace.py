@@ -326,6 +326,11 @@ def on_a_table(t, x, u, params):
     return np.array([x[1], params["k"] * np.interp(x[0], [-1.0, 0.0, 1.0, 1.0], [2.0, 0.0, 1.0, 3.0]) + x[0] // 0.1])
 
 
+def selected(t, x, u, params):
+    force = np.select([x[0] < 0.0, x[0] > 1.0], [u[0], 2.0 * u[0]], params["k"])
+    return np.array([x[1], force])
+
+
 class Keeping:
     """Keeps what belongs to the parameters it was called with last."""
 
@@ -341,7 +346,7 @@ class Keeping:
 
 @pytest.mark.parametrize("rhs, compiles", [
     (wrapped, True), (clipped_in_place, True), (written_over, True), (scaled_in_place, None), (with_handler, False),
-    (guarded, True), (on_a_table, True), (Keeping(), True)])
+    (guarded, True), (on_a_table, True), (selected, True), (Keeping(), True)])
 def test_special_points_are_those_of_the_original(rhs, compiles):
     """Limits, rest, table ends and whole turns, which random points do not meet."""
     plant = as_plant(control.nlsys(rhs, lambda t, x, u, params: x[:1], inputs=["u"], outputs=["y"], states=["a", "b"],

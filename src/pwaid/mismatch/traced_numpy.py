@@ -68,6 +68,15 @@ def _where(condition, *choices):
     return elementwise(_choose)(condition, *choices)
 
 
+def _first_that_holds(conditions, choices, default=0):
+    """`numpy.select`."""
+    if not is_symbolic([*conditions, *choices, default]):
+        return np.select(conditions, choices, default)
+    for condition, choice in zip(conditions[::-1], choices[::-1], strict=True):
+        default = _where(condition, choice, default)
+    return default
+
+
 def _choose(condition, a, b):
     if not isinstance(condition, Symbol):
         return a if condition else b
@@ -224,7 +233,7 @@ def _names(prefix) -> dict[str, Callable]:
 
 
 _LINALG = {"solve": _solve, "inv": _inverse, "det": _determinant, "norm": _norm}
-_MINE = _names(np) | {"where": _where, "clip": _clip, "interp": _interp, "float64": _Float,
+_MINE = _names(np) | {"where": _where, "select": _first_that_holds, "clip": _clip, "interp": _interp, "float64": _Float,
                       "diag": lambda v, k=0: np.diag(np.array(v, dtype=object), k)} | {
     n: _holding_objects(getattr(np, n)) for n in ("array", "asarray", "asanyarray", "zeros", "ones", "empty", "full",
                                                   "eye", "identity")} | {
