@@ -71,6 +71,27 @@ def test_an_output_that_is_an_acceleration_is_seen_with_its_gain():
     assert rates_shown(structure_of(sensed(shaken, "a", dt=0.02), data, ["g"])) == ()
 
 
+def test_a_load_cell_under_a_body_shows_its_rate_and_a_shaft_does_not():
+    def structure(rates, outfcn, units, params, free, nx):
+        plant = as_plant(control.nlsys(rates, outfcn, inputs=["F"], outputs=["y"], states=["x", "v", "xl", "vl"][:nx],
+                                       params=params))
+        rng = np.random.default_rng(0)
+        return find_structure(plant, rng.normal(size=(64, nx)), rng.normal(size=(64, 1)), rng.normal(size=(64, 1)),
+                              ["N"], [units], 0.02, 4.0, free)
+
+    def shaft(t, x, u, params):
+        pull = 40.0 * (x[0] - x[2])
+        return np.array([x[1], (u[0] - pull) / params["m"], x[3], pull / 2.0])
+
+    def base(t, x, u, params):
+        return np.array([params["b"] * x[1] + params["k"] * x[0]])
+
+    assert rates_shown(structure(update, base, "N", NOMINAL, ("b", "k"), 2)) == ((0, 1, pytest.approx(-1.1)),)
+    assert rates_shown(structure(update, base, "N", NOMINAL, ("m", "b"), 2)) == ()  # the gain would be that of m
+    force = structure(shaft, lambda t, x, u, params: np.array([40.0 * (x[0] - x[2])]), "N", {"m": 1.0}, (), 4)
+    assert rates_shown(force) == ()
+
+
 @pytest.mark.parametrize(("name", "multiple"), [("coulomb_friction", 1.0), ("cubic_stiffness", 30.0)])
 def test_the_acceleration_is_that_of_the_speed_and_none_at_rest(name, multiple):
     data = Dataset.from_recordings([recording(1, 4000, 1e-3)])

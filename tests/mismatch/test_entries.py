@@ -96,6 +96,17 @@ def test_what_acts_on_a_first_order_model_has_the_unit_of_its_state():
         assert (s.force_units[0], s.inertia_units[0]) == (force, inertia)
 
 
+def test_states_behind_a_mean_reading_are_of_its_kind():
+    A = np.array([[-0.006, 0.005], [0.003, -0.0036]])
+    plate = control.ss(A, [[0.001], [0.0]], [[0.0, 1.0], [0.6, 0.4]], 0, inputs=["P"], outputs=["part", "mean"],
+                       states=["a", "b"])
+    s = _structure(plate, ["W"], ["degC", "degC"])
+    assert s.kinds == ("thermal", "thermal") and all(unit == {"degC": 1} for unit in s.state_units)
+    apart = control.ss(A, [[0.001], [0.0]], [[0.0, 1.0], [0.6, 0.5]], 0, inputs=["P"], outputs=["part", "mean"],
+                       states=["a", "b"])
+    assert _structure(apart, ["W"], ["degC", "degC"]).kinds[0] == "abstract"
+
+
 def test_temperatures_are_absolute_by_their_unit():
     def oven(t, x, u, params):
         return np.array([params["gain"] * u[0] - (x[0] - 20.0) / 500.0])

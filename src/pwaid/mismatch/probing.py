@@ -57,10 +57,13 @@ def find_structure(plant: Plant, states, inputs, outputs, input_units, output_un
     for k, i in enumerate(shown.state):
         if i >= 0 and not units[i]:
             units[i] = scaled_unit(output_units[k], shown.gain[k], shown.offset[k])
+    averaged = _averages(plant, points, shown, output_units)
+    for i, k in averaged.items():
+        units[i] = units[i] or out_units[k]
     _drop_impossible(units, partner, ratio)
     _spread_units(units, partner)
     for i in range(nx):
-        kinds[i] = _kind_of(i, plant, partner, units, shown.state, output_units)
+        kinds[i] = _kind_of(i, plant, partner, units, shown.state, output_units, averaged)
     _relative_speeds(kinds, units, plant, points)
     _guess_stores(kinds, plant, points, high)
     default_angle = any(unit_kind(u) == "torque" for u in input_units)
@@ -197,14 +200,31 @@ def _spread_units(units, partner):
                 units[i] = {s: p for s, p in {**units[j], "s": units[j].get("s", 0) + 1}.items() if p}
 
 
-def _kind_of(i, plant, partner, units, output_state, output_units):
+def _averages(plant, points, shown, output_units) -> dict[int, int]:
+    """State and output, for outputs that are a mean of several states: temperatures or levels that a sensor sees at
+    once, in its own unit."""
+    found = {}
+    Xs, G = np.array([x for x, _ in points]), np.array([plant.outputs(x, u) for x, u in points])
+    if np.linalg.matrix_rank(Xs) < Xs.shape[1]:
+        return found
+    for k, y in enumerate(G.T):
+        weights = np.linalg.lstsq(Xs, y, rcond=None)[0]
+        parts = np.flatnonzero(np.abs(weights) > 1e-9)
+        exact = np.allclose(Xs @ weights, y, rtol=1e-9, atol=1e-12 * np.max(np.abs(y)))
+        if shown.state[k] < 0 and exact and np.all(weights[parts] > 0) and abs(np.sum(weights) - 1) < 1e-6 and (
+                unit_kind(output_units[k]) in ("temperature", "length", "pressure")):
+            found |= {int(i): k for i in parts}
+    return found
+
+
+def _kind_of(i, plant, partner, units, output_state, output_units, averaged):
     if partner[i] >= 0:
         return "position"
     if i in partner:
         return "velocity"
     if plant.black_box is not None or (plant.dt and plant.linear):
         return "abstract"
-    for k, state in enumerate(output_state):
+    for k, state in [*enumerate(output_state), *((k, i) for i, k in averaged.items())]:
         if state == i:
             kind = unit_kind(output_units[k])
             if kind in _SPEEDS:
