@@ -118,3 +118,20 @@ def test_temperatures_are_absolute_by_their_unit():
         s = find_structure(plant, level + 10.0 * rng.normal(size=(200, 1)), rng.normal(size=(200, 1)),
                            rng.normal(size=(200, 1)), ["W"], [unit], 0.02, 4.0)
         assert [place.constants for place in stores(s, "thermal")] == [(zero,)]
+
+
+def test_friction_may_grow_with_any_input_and_a_mass_is_never_negative():
+    """A conveyor whose carried mass is its second input: forces enter through the drive, friction grows with the load."""
+    def conveyor(t, x, u, params):
+        return np.array([(60.0 * u[0] - params["c"] * x[0]) / (params["m0"] + u[1])])
+
+    plant = as_plant(control.nlsys(conveyor, lambda t, x, u, params: x, inputs=["T", "load"], outputs=["v"],
+                                   states=["v"], params={"m0": 180.0, "c": 90.0}))
+    rng = np.random.default_rng(0)
+    inputs = np.column_stack([rng.normal(size=200), rng.uniform(20.0, 420.0, 200)])
+    s = find_structure(plant, rng.normal(size=(200, 1)), inputs, rng.normal(size=(200, 1)), ["N m", "kg"], ["m/s"],
+                       0.02, 4.0)
+    assert s.entry[0] == (0, 0, -1) and s.force_units[0] == {"N": 1, "m": 1}
+    places = s.loaded()
+    assert [(p.ii[8], p.variables, p.note) for p in places] == [(0, ("v", "T"), "load: T"), (1, ("v", "load"),
+                                                                                          "load: load")]

@@ -47,7 +47,7 @@ def find_structure(plant: Plant, states, inputs, outputs, input_units, output_un
     low, high = np.quantile(states, 0.002, axis=0), np.quantile(states, 0.998, axis=0)
     rms_u = np.sqrt(np.mean(inputs**2, axis=0)) if nu else np.zeros(0)
     rng = np.random.default_rng(0)
-    points = _points(plant, rng, low, high, rms_u)
+    points = _points(plant, rng, low, high, rms_u, inputs)
     partner, ratio = _kinematics(plant, points, low, high)
     shown = _output_map(plant, points)
     in_units = tuple(parse_unit(u) for u in input_units)
@@ -113,11 +113,12 @@ def _hook_scale(plant, inputs, outputs):
     return tuple(found)
 
 
-def _points(plant, rng, low, high, rms_u, count: int = 12):
-    """States and inputs where the plant can be evaluated, within the ranges met."""
-    found = []
+def _points(plant, rng, low, high, rms_u, inputs, count: int = 12):
+    """States and inputs where the plant can be evaluated, within the ranges met: a load may never be negative."""
+    found, least, most = [], np.min(inputs, axis=0), np.max(inputs, axis=0)
     for _ in range(10 * count):
         x, u = low + (high - low) * rng.uniform(size=len(low)), rms_u * rng.normal(size=len(rms_u))
+        u = np.clip(u, least, most)
         if np.all(np.isfinite(plant.derivative(x, u))) and np.all(np.isfinite(plant.outputs(x, u))):
             found.append((x, u))
         if len(found) == count:

@@ -130,31 +130,32 @@ class Structure:
         return ii
 
     # ------------------------------------------------------------------ places for the catalogue
-    def moving(self, with_position: bool = False, with_input: bool = False) -> list[Place]:
+    def moving(self, with_position: bool = False) -> list[Place]:
         """Every speed a force can act on."""
         places = []
         for v in self.velocities():
             ii, x = self.force_ii(v), self.position_of(v)
             if x < 0 and with_position:
                 x = v  # the stroke is unknown; scale by speed times the time scale
-            names = [self.plant.state_names[v]]
-            more = {}
+            names, more = [self.plant.state_names[v]], {}
             if with_position and self.position_of(v) < 0:
                 more = {"scales": {"position": self.reach(v) * self.time_scale},
                         "units": {"position": {**self.state_units[v],
                                                "s": self.state_units[v].get("s", 0) + 1}}}
-            if with_input:
-                if not len(self.input_rms):
-                    continue
-                ii[8] = self._main_input(v)
-                names.append(self.plant.input_names[ii[8]])
-                more = {"j": ii[8]}
             places.append(self.place("state", self.plant.state_names[v], names, ii, v=v, x=x, **more))
         return places
 
-    def _main_input(self, v: int) -> int:
-        mode, target, _ = self.entry[v]
-        return target if mode != 1 else 0
+    def loaded(self) -> list[Place]:
+        """Every speed a force can act on, with every input that may press on what slides, its own drive first."""
+        places = []
+        for v in self.velocities():
+            mode, target, _ = self.entry[v]
+            for j in sorted(range(len(self.input_rms)), key=lambda j: mode == 1 or j != target):
+                ii, names = self.force_ii(v), [self.plant.state_names[v], self.plant.input_names[j]]
+                ii[8] = j
+                note = f"load: {names[1]}" if len(self.input_rms) > 1 else ""
+                places.append(self.place("state", names[0], names, ii, v=v, x=self.position_of(v), j=j, note=note))
+        return places
 
     def positions(self, sides: bool = False) -> list[Place]:
         """Every position with a speed that a force can act on; one per side for stops."""

@@ -89,7 +89,7 @@ EFFECTS = (
     Effect("load_dependent_friction", "dry_friction", "F = (level + load_factor*|load|) * sign(v)",
            (Quantity("level", "force", 1e-5, 5.0, (0.002, 0.1)),
             Quantity("load_factor", "force/input", 1e-3, 2.0, (0.06, 0.25))),
-           load_dependent, lambda s: s.moving(with_input=True), ("coulomb_friction", "actuator_deadzone"),
+           load_dependent, lambda s: s.loaded(), ("coulomb_friction", "actuator_deadzone"),
            "the same trajectory under several loads", proximal=True, dissipative=True,
            contains=("coulomb_friction",)),
 )
