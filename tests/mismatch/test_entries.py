@@ -121,7 +121,7 @@ def test_temperatures_are_absolute_by_their_unit():
 
 
 def test_friction_may_grow_with_any_input_and_a_mass_is_never_negative():
-    """A conveyor whose carried mass is its second input: forces enter through the drive, friction grows with the load."""
+    """A conveyor whose carried mass is its second input: forces enter through the drive, friction grows with it."""
     def conveyor(t, x, u, params):
         return np.array([(60.0 * u[0] - params["c"] * x[0]) / (params["m0"] + u[1])])
 
