@@ -27,6 +27,7 @@ ORDER = [
     ["lerp"],
     ["assembly"],
     ["fronts"],
+    ["separator"],
     ["dissection"],
     ["dense"],
     ["cholesky"],

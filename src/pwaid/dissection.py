@@ -3,8 +3,9 @@
 A set of unknowns is cut in two parts by a plane; the fewest unknowns that touch every matrix entry across the cut (a
 smallest vertex cover, by Kőnig's theorem from a largest matching) become the separator, which is eliminated after
 both parts; each part is cut again until it is small. Of several planes the one counts whose separator is smallest
-for the size of the smaller part. Each separator and each leaf becomes one dense front of `pwaid.fronts`. Where there
-are no coordinates, graph distances from a few far-apart unknowns serve instead.
+for the size of the smaller part, and that separator is moved to the narrowest place nearby (`pwaid.separator`). Each
+separator and each leaf becomes one dense front of `pwaid.fronts`. Where there are no coordinates, graph distances from
+a few far-apart unknowns serve instead.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numba
 import numpy as np
 
 from pwaid.fronts import FrontTree
+from pwaid.separator import narrow, score
 
 __all__ = ["dissect"]
 
@@ -24,6 +26,9 @@ MANY = 100
 SHARES = np.array([0.5, 0.45, 0.55, 0.4, 0.6])
 # Cells of the Morton curve an axis, as a power of 2; up to 6 axes fit into an integer.
 MORTON_BITS = 10
+# Steps to either side of a plane's separator within which the narrowest one is looked for, in the plane and in more
+# dimensions, where parts of a wide band lose their shape.
+FLAT, THICK = 3, 1
 
 
 def dissect(indptr: np.ndarray, indices: np.ndarray, coordinates: Any = None, *, leaf: int = LEAF) -> FrontTree:
@@ -43,7 +48,8 @@ def dissect(indptr: np.ndarray, indices: np.ndarray, coordinates: Any = None, *,
         coordinates = _landmark_distances(indptr, indices, 3)
     coordinates = np.ascontiguousarray(coordinates, dtype=float)
     order, starts, parents = _dissect(
-        indptr, indices, coordinates, _directions(coordinates.shape[1]), SHARES, _morton_order(coordinates), leaf
+        indptr, indices, coordinates, _directions(coordinates.shape[1]), SHARES, _morton_order(coordinates), leaf,
+        FLAT if coordinates.shape[1] == 2 else THICK,
     )
     return FrontTree.of(indptr, indices, order, starts, parents)
 
@@ -185,7 +191,7 @@ def _cover(indptr, indices, members, side, stamp, partner, seen, round_, stack, 
 
 
 @numba.njit(cache=True)
-def _dissect(indptr, indices, coordinates, directions, shares, order, leaf):
+def _dissect(indptr, indices, coordinates, directions, shares, order, leaf, width):
     n, d = coordinates.shape
     order = order.copy()
     side = np.full(n, -1)
@@ -193,6 +199,10 @@ def _dissect(indptr, indices, coordinates, directions, shares, order, leaf):
     stack, edge = np.empty(n + 1, np.int64), np.empty(n + 1, np.int64)
     separator = np.zeros(n, np.bool_)
     part, chosen, sizes = np.empty(n, np.int64), np.empty(n, np.int64), np.zeros(3, np.int64)
+    kept, where, band = np.zeros(3, np.int64), np.full(n, -1), np.zeros(n, np.bool_)
+    first, last = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
+    before, after, entered = np.empty(n, np.int64), np.empty(n, np.int64), np.zeros(n, np.int64)
+    came, states = np.empty(2 * n, np.int64), np.empty(2 * n + 2, np.int64)
     stamp, round_ = 0, 0
     # Fronts are found parents first; `begins` sorts them into elimination order at the end.
     begins, parents = [0 for _ in range(0)], [0 for _ in range(0)]
@@ -218,11 +228,15 @@ def _dissect(indptr, indices, coordinates, directions, shares, order, leaf):
                     v = members[t]
                     part[t] = 2 if separator[v] else side[v] - stamp
                     sizes[part[t]] += 1
-                score = sizes[2] / max(1, min(sizes[0], sizes[1])) ** (1.0 / 3.0)
-                if score < best:
-                    best = score
+                size = score(sizes)
+                if size < best:
+                    best = size
                     chosen[: members.size] = part[: members.size]
+                    kept[:] = sizes
                 stamp += 2
+        if members.size > MANY:
+            round_ = narrow(indptr, indices, members, chosen, kept, where, band, first, last, before, after, entered,
+                             seen, round_, came, states, width)
         middle, a = low, low
         for which in range(3):
             if which == 1:
