@@ -16,14 +16,13 @@ from pwaid.lambda_max import lambda_max
 from pwaid.lerp import barycentric_rows, hinge_matrix
 from pwaid.path import NO_FOLD, RULES, UNDETERMINED, fold_labels, lambda_grid, solve_path
 from pwaid.problem import HingeProblem
-from pwaid.pwa_map import PWAMap
+from pwaid.pwa_map import OUTSIDE_RULES, PWAMap
 from pwaid.solve import check_lambda, solve
 
 __all__ = ["PWARegressor"]
 
 # Facets multiply with each dimension (docs/limits.md); above this many inputs some enter linearly.
 MESH_DIMENSIONS = 4
-OUTSIDE = ("raise", "nan", "affine")
 CHOSEN_DIMENSIONS = 3
 # On the squared coefficients of standardised linear inputs, a sample: makes them unique when inputs repeat each other.
 RIDGE = 1e-8
@@ -129,7 +128,7 @@ class PWARegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
         X : array_like, shape (N, n_features)
         y : array_like, shape (N,) or (N, n_outputs)
         """
-        for name, value, known in (("rule", self.rule, RULES), ("outside", self.outside, OUTSIDE)):
+        for name, value, known in (("rule", self.rule, RULES), ("outside", self.outside, OUTSIDE_RULES)):
             if value not in known:
                 raise InputError(f"{name} is {value!r}; expected one of {', '.join(map(repr, known))}")
         X, y = validate_data(self, X, y, dtype=float, multi_output=True, y_numeric=True)

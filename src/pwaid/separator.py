@@ -72,7 +72,7 @@ def _reroute(v, before, after, came):
 
 @numba.njit(cache=True)
 def narrow(indptr, indices, members, chosen, sizes, where, band, first, last, before, after, entered, left, round_,
-            came, stack, width):
+           came, stack, width):
     """Move a separator to the narrowest place within `width` steps of it: as many unknowns as there are paths through
     that band without a common one (Menger). Changes `chosen` and `sizes` where that is a gain; returns the round."""
     for t in range(members.size):
@@ -122,7 +122,7 @@ def narrow(indptr, indices, members, chosen, sizes, where, band, first, last, be
                                            stack)
         new = np.zeros(3, np.int64)
         for v in members:
-            where[v] = _place(v, where[v], band[v], entered[v] == round_, left[v] == round_)
+            where[v] = _place(where[v], band[v], entered[v] == round_, left[v] == round_)
             new[where[v]] += 1
         if score(new) < score(sizes):
             sizes[:] = new
@@ -134,7 +134,7 @@ def narrow(indptr, indices, members, chosen, sizes, where, band, first, last, be
 
 
 @numba.njit(cache=True)
-def _place(v, where, in_band, entered, left):
+def _place(where, in_band, entered, left):
     """The part of an unknown once paths are as many as can be: below is what they reach, between where they stop."""
     if not in_band:
         return where

@@ -166,7 +166,7 @@ def data_points(X: Any, n: int | None = None, rng: Any = None, *, margin: float 
     wide = margin * (high - low)
     corners = _loose_corners(np.column_stack([low - wide, high + wide]), rng)
     apart = np.round((X - low) / (high - low) / TOGETHER + 0.2347)  # an offset at which no round share is halved
-    distinct = X[np.sort(np.unique(apart, axis=0, return_index=True)[1])]
+    distinct = X[np.unique(apart, axis=0, return_index=True)[1]]
     distinct = distinct[np.lexsort(distinct.T[::-1])]
     if n is None or len(distinct) + len(corners) <= n:
         return np.vstack([corners, distinct])

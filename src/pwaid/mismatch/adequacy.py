@@ -56,8 +56,9 @@ def stretched(problem: Problem, h: Hypothesis, t: Thresholds) -> str:
     bound = at_bound(h, problem.train.sample_time)
     if bound:
         return f"{bound[0]} went to its bound and the error is not at the floor"
-    if outside(h, t.reach):
-        return f"{outside(h, t.reach)[0]} had to leave its tolerance and the error is not at the floor"
+    left_tolerance = outside(h, t.reach)
+    if left_tolerance:
+        return f"{left_tolerance[0]} had to leave its tolerance and the error is not at the floor"
     null = over_floor(problem, problem.null_test.Y, t)
     trained = np.mean((problem.train.Y - h.fit.Y) ** 2, axis=0) / floor_or_trifle(problem, t) ** 2
     outgrown = np.any((left > t.outgrown * np.maximum(trained, 1.0)) & (left > t.residue * null))

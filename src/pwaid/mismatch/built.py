@@ -51,8 +51,7 @@ def _around(plant: Plant, build: Callable, arguments: dict[str, float]) -> Plant
         if key not in known:
             if len(known) >= KEPT:
                 known.clear()
-            system = build(**values)
-            system = realise(system) if isinstance(system, control.TransferFunction) else system
+            system = _system(build, values)
             known[key] = (*equations(system), getattr(system, "params", None) or {})
         return known[key]
 
@@ -75,16 +74,17 @@ def _by_matrices(plant: Plant, build: Callable) -> Plant:
     """A linear plant whose build() cannot be run on symbols: its matrices are taken from build() for every set of
     values, and the compiled forms read their entries."""
     known: dict[bytes, np.ndarray] = {}
-    count = sum(a * b for a, b in _shapes(plant))
+    nx, nu, ny = plant.sizes
+    count = (nx + ny) * (nx + nu)
 
     def entries(p) -> np.ndarray:
+        """A, B, C and D row by row, one after the other, for these parameters; NaN where build() gives no such."""
         key = np.asarray(p, dtype=float).tobytes()
         if key not in known:
             if len(known) >= KEPT:
                 known.clear()
             try:
-                system = build(**dict(zip(plant.arguments, map(float, p), strict=True)))
-                system = realise(system) if isinstance(system, control.TransferFunction) else system
+                system = _system(build, dict(zip(plant.arguments, map(float, p), strict=True)))
                 found = np.concatenate([np.ravel(M) for M in (system.A, system.B, system.C, system.D)]).astype(float)
             except Exception as error:  # values that build() refuses count as diverged
                 plant.raised.add(f"{type(error).__name__}: {error}")
@@ -96,9 +96,10 @@ def _by_matrices(plant: Plant, build: Callable) -> Plant:
     return replace(plant, rhs=rhs, out=out, entries=entries)
 
 
-def _shapes(plant: Plant) -> list[tuple[int, int]]:
-    nx, nu, ny = plant.sizes
-    return [(nx, nx), (nx, nu), (ny, nx), (ny, nu)]
+def _system(build: Callable, values: dict):
+    """The system that build() gives for these values, a transfer function in state space."""
+    system = build(**values)
+    return realise(system) if isinstance(system, control.TransferFunction) else system
 
 
 def _numbers(build: Callable) -> dict[str, int | float]:

@@ -108,7 +108,7 @@ def _verify(original, compiled, size, nx, nu, parameters, scale, constants, poin
     for k in range(4 * points):
         t, x, u = rng.uniform(0, 10), scale * rng.normal(size=nx), rng.normal(size=nu)
         if k < len(SPECIAL):  # where branches and divisions may differ
-            x, u = (SPECIAL[k] * np.sign(v) if SPECIAL[k] else 0.0 * v for v in (x, u))
+            x, u = (SPECIAL[k] * np.sign(v) for v in (x, u))
         p = values * rng.uniform(0.9, 1.1, values.size)
         with np.errstate(all="ignore"):
             try:

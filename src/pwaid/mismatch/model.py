@@ -258,10 +258,9 @@ class Model:
         """Call one of the engine's functions, which fill X and Y, or the Y of several variants; states rest where the
         right-hand side is not compiled."""
         plant, s = self.settings.plant, self.settings
-        p = plant.full(p) if p.ndim == 1 else np.array([plant.full(row) for row in p])
         simulate(plant.rhs or still, plant.out or still, *self.kernels, len(self.located), self.nx, start, segments, U,
-                 delay, sample_time, 1 if plant.dt else self.substeps, float(s.first_order_hold), int(plant.dt > 0), p,
-                 self.II, Q, self.proximal, s.partner, s.ratio, self.shown, self.gain, *filled, LIMIT)
+                 delay, sample_time, 1 if plant.dt else self.substeps, float(s.first_order_hold), int(plant.dt > 0),
+                 plant.full(p), self.II, Q, self.proximal, s.partner, s.ratio, self.shown, self.gain, *filled, LIMIT)
 
     def simulate_many(self, asked, data: Dataset) -> list[np.ndarray]:
         """Outputs (N, ny) for several (theta, X0), in one call."""

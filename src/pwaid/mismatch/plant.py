@@ -73,8 +73,10 @@ class Plant:
         return np.array(list(self.parameters.values()), dtype=float) if self.parameters else np.zeros(1)
 
     def full(self, p) -> np.ndarray:
-        """The parameters with what the compiled forms read behind them."""
-        return p if self.entries is None else np.concatenate([p, self.entries(p)])
+        """The parameters (n,), or of several simulations (k, n), with what the compiled forms read behind them."""
+        if self.entries is None:
+            return p
+        return np.concatenate([p, np.apply_along_axis(self.entries, -1, p)], axis=-1)
 
     def derivative(self, x, u, p=None, t: float = 0.0) -> np.ndarray:
         """dx/dt at one point; of a discrete simulator its change over a step, per second."""

@@ -14,7 +14,7 @@ import numpy as np
 
 from pwaid.errors import InputError
 from pwaid.mismatch.plant import Plant
-from pwaid.mismatch.structure import OutputMap, Structure, on_line, two_terms
+from pwaid.mismatch.structure import OutputMap, Structure, on_line, two_terms, weights_of
 from pwaid.mismatch.units import KNOWN, combine, factor_of, parse_unit, scaled_unit, unit_kind
 
 __all__ = ["find_structure"]
@@ -209,11 +209,13 @@ def _averages(plant, points, shown, output_units) -> dict[int, int]:
     if np.linalg.matrix_rank(Xs) < Xs.shape[1]:
         return found
     for k, y in enumerate(G.T):
-        weights = np.linalg.lstsq(Xs, y, rcond=None)[0]
+        if shown.state[k] >= 0 or unit_kind(output_units[k]) not in ("temperature", "length", "pressure"):
+            continue
+        weights = weights_of(Xs, y)
+        if weights is None:
+            continue
         parts = np.flatnonzero(np.abs(weights) > 1e-9)
-        exact = np.allclose(Xs @ weights, y, rtol=1e-9, atol=1e-12 * np.max(np.abs(y)))
-        if shown.state[k] < 0 and exact and np.all(weights[parts] > 0) and abs(np.sum(weights) - 1) < 1e-6 and (
-                unit_kind(output_units[k]) in ("temperature", "length", "pressure")):
+        if np.all(weights[parts] > 0) and abs(np.sum(weights) - 1) < 1e-6:
             found |= {int(i): k for i in parts}
     return found
 

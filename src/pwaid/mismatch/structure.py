@@ -16,7 +16,7 @@ from pwaid.mismatch.inertia import shown_inertia
 from pwaid.mismatch.plant import Plant
 from pwaid.mismatch.units import KNOWN, factor_of, parse_unit
 
-__all__ = ["OutputMap", "Structure", "on_line", "two_terms"]
+__all__ = ["OutputMap", "Structure", "on_line", "two_terms", "weights_of"]
 
 
 def on_line(x, y) -> tuple[float, float] | None:
@@ -30,13 +30,22 @@ def on_line(x, y) -> tuple[float, float] | None:
     return (gain, offset) if holds else None
 
 
+def weights_of(columns, y, trifle: float = 1e-12) -> np.ndarray | None:
+    """The weights with which columns (n, k) add up to y at all samples, but for a trifle of its largest; None where
+    they do not."""
+    weights = np.linalg.lstsq(columns, y, rcond=None)[0]
+    holds = np.allclose(columns @ weights, y, rtol=1e-9, atol=trifle * np.max(np.abs(y)))
+    return weights if holds else None
+
+
 def two_terms(columns, rate) -> tuple[np.ndarray, np.ndarray] | None:
     """The two columns, and their weights, whose sum a rate (n,) is at all samples; None where it is not of two."""
-    weights = np.linalg.lstsq(columns, rate, rcond=None)[0]
+    weights = weights_of(columns, rate)
+    if weights is None:
+        return None
     size = np.max(np.abs(weights * columns), axis=0)
     pair = np.flatnonzero(size > 1e-9 * np.max(size))
-    holds = np.allclose(columns @ weights, rate, rtol=1e-9, atol=1e-12 * np.max(np.abs(rate)))
-    return (pair, weights[pair]) if holds and len(pair) == 2 else None
+    return (pair, weights[pair]) if len(pair) == 2 else None
 
 
 @dataclass(frozen=True)
