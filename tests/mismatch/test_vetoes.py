@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests_support import gathered, pushed, record
+from tests_support import gathered, oscillator, pushed, record
 
 from pwaid.mismatch import Thresholds
 from pwaid.mismatch.decide import decide
+from pwaid.mismatch.effects.registry import effect_by_id
+from pwaid.mismatch.explain import collect
 from pwaid.mismatch.vetoes import at_bound, veto
 
 
@@ -19,6 +21,14 @@ def test_a_stop_that_yields_like_a_spring_is_none():
     assert best.share > 0.5  # it would pass
     assert "yields like a spring" in veto(springs.problem, best)
     assert decide(springs.problem, springs.null, springs.singles, ()).verdict == "unexplained"
+
+
+def test_a_stop_that_is_nearly_always_pressed_is_a_spring():
+    recordings = [pushed(s, lambda x, v: -4.0 * max(x + 0.8, 0.0)) for s in (1, 2, 3)]
+    springs = collect(oscillator(k=3.0), recordings[:2], recordings[2:], ["m", "b"], effects=effect_by_id("end_stop"))
+    best = min(springs.singles, key=lambda h: h.test_error)
+    assert best.share > 0.99  # a stop does what the spring does
+    assert "yields like a spring" in veto(springs.problem, best)
 
 
 def test_a_stop_that_stops_is_one():

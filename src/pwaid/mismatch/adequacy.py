@@ -39,7 +39,11 @@ def inadequate(problem: Problem, h: Hypothesis, t: Thresholds) -> str:
                f"itself by {gain:.0f}"
     if np.all(left < t.near):
         return ""
-    return stretched(problem, h, t) or still_explained(problem, h, t, maps, abs(found) <= t.unfound)
+    reason = stretched(problem, h, t)
+    if reason:
+        return reason
+    reason = still_explained(problem, h, t, maps, abs(found) <= t.unfound)
+    return "" if reason and holds_in_pieces(problem, h, t.near, t.share) else reason
 
 
 def _found(maps: Leftover, gain: float) -> float:

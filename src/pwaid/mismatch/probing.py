@@ -14,7 +14,7 @@ import numpy as np
 
 from pwaid.errors import InputError
 from pwaid.mismatch.plant import Plant
-from pwaid.mismatch.structure import OutputMap, Structure, on_line, two_terms, weights_of
+from pwaid.mismatch.structure import OutputMap, Structure, drawn_point, on_line, two_terms, weights_of
 from pwaid.mismatch.units import KNOWN, combine, factor_of, parse_unit, scaled_unit, unit_kind
 
 __all__ = ["find_structure"]
@@ -47,7 +47,8 @@ def find_structure(plant: Plant, states, inputs, outputs, input_units, output_un
     low, high = np.quantile(states, 0.002, axis=0), np.quantile(states, 0.998, axis=0)
     rms_u = np.sqrt(np.mean(inputs**2, axis=0)) if nu else np.zeros(0)
     rng = np.random.default_rng(0)
-    points = _points(plant, rng, low, high, rms_u, inputs)
+    input_range = np.min(inputs, axis=0), np.max(inputs, axis=0)
+    points = _points(plant, rng, low, high, rms_u, input_range)
     partner, ratio = _kinematics(plant, points, low, high)
     shown = _output_map(plant, points)
     in_units = tuple(parse_unit(u) for u in input_units)
@@ -85,7 +86,7 @@ def find_structure(plant: Plant, states, inputs, outputs, input_units, output_un
     time_scale = float(np.clip(np.median(ratios) if ratios.size else 1.0, 2 * sample_time, length / 4))
     return Structure(
         plant, tuple(kinds), partner, ratio, entry, scale, tuple(units), funits, iunits, low, high, rms_u,
-        np.max(np.abs(inputs), axis=0) if nu else np.zeros(0), in_units, np.min(outputs, axis=0),
+        *input_range, in_units, np.min(outputs, axis=0),
         np.max(outputs, axis=0), out_units, shown, time_scale, float(length), tuple(free), mobility,
         _hook_scale(plant, inputs, outputs))
 
@@ -113,12 +114,11 @@ def _hook_scale(plant, inputs, outputs):
     return tuple(found)
 
 
-def _points(plant, rng, low, high, rms_u, inputs, count: int = 12):
-    """States and inputs where the plant can be evaluated, within the ranges met: a load may never be negative."""
-    found, least, most = [], np.min(inputs, axis=0), np.max(inputs, axis=0)
+def _points(plant, rng, low, high, rms_u, input_range, count: int = 12):
+    """States and inputs where the plant can be evaluated, within the ranges met."""
+    found = []
     for _ in range(10 * count):
-        x, u = low + (high - low) * rng.uniform(size=len(low)), rms_u * rng.normal(size=len(rms_u))
-        u = np.clip(u, least, most)
+        x, u = drawn_point(rng, (low, high), rms_u, input_range)
         if np.all(np.isfinite(plant.derivative(x, u))) and np.all(np.isfinite(plant.outputs(x, u))):
             found.append((x, u))
         if len(found) == count:

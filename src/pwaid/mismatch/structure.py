@@ -16,7 +16,7 @@ from pwaid.mismatch.inertia import shown_inertia
 from pwaid.mismatch.plant import Plant
 from pwaid.mismatch.units import KNOWN, factor_of, parse_unit
 
-__all__ = ["OutputMap", "Structure", "on_line", "two_terms", "weights_of"]
+__all__ = ["OutputMap", "Structure", "drawn_point", "on_line", "two_terms", "weights_of"]
 
 
 def on_line(x, y) -> tuple[float, float] | None:
@@ -48,6 +48,13 @@ def two_terms(columns, rate) -> tuple[np.ndarray, np.ndarray] | None:
     return (pair, weights[pair]) if len(pair) == 2 else None
 
 
+def drawn_point(rng, states, input_rms, inputs) -> tuple[np.ndarray, np.ndarray]:
+    """A state and an input drawn within ranges (low, high) of both: a load may never be negative."""
+    low, high = states
+    x, u = low + (high - low) * rng.uniform(size=len(low)), input_rms * rng.normal(size=len(input_rms))
+    return x, np.clip(u, *inputs)
+
+
 @dataclass(frozen=True)
 class OutputMap:
     """The state that each output shows alone, y = gain x + offset; -1 where it shows none."""
@@ -77,7 +84,8 @@ class Structure:
     low: np.ndarray
     high: np.ndarray
     input_rms: np.ndarray
-    input_max: np.ndarray
+    input_low: np.ndarray
+    input_high: np.ndarray
     input_units: tuple[dict, ...]
     output_low: np.ndarray
     output_high: np.ndarray
@@ -90,6 +98,11 @@ class Structure:
     hook_scale: tuple[float, ...] = ()
 
     # ------------------------------------------------------------------ helpers
+    @property
+    def input_max(self) -> np.ndarray:
+        """Largest magnitude of each input."""
+        return np.maximum(np.abs(self.input_low), np.abs(self.input_high))
+
     @property
     def output_state(self) -> tuple[int, ...]:
         """The state that each output shows, -1 where it shows none alone."""
@@ -205,8 +218,8 @@ class Structure:
     def points(self, count: int) -> list[tuple[np.ndarray, np.ndarray]]:
         """States and inputs within the ranges met."""
         rng = np.random.default_rng(1)
-        return [(self.low + (self.high - self.low) * rng.uniform(size=len(self.kinds)),
-                 self.input_rms * rng.normal(size=len(self.input_rms))) for _ in range(count)]
+        return [drawn_point(rng, (self.low, self.high), self.input_rms, (self.input_low, self.input_high))
+                for _ in range(count)]
 
     def slope(self, i, j, x, u):
         """Derivative of the rate of state i by state j at one point."""

@@ -15,7 +15,9 @@ _LOOSE = ("stiffness", "contact_frequency", "damping", "phase", "share", "ambien
 
 # A stop ends a motion. What gives way by this share of half the travel, this share of the time, is a spring.
 # Unless no more than this share of the error is left: a stop of rubber yields, and no spring does what it does.
-_YIELDING, _PRESSED, _REST = 1 / 3, 0.1, 0.01
+# Pressed for this share of the time and so deep, it ends no motion whatever it removes: a stop at the edge or in the
+# middle of the travel is a spring.
+_YIELDING, _PRESSED, _REST, _LEANING = 1 / 3, 0.1, 0.01, 0.8
 
 # A spring whose force varies by less than this share of its mean, at a position that nothing measures, is a load.
 _SPRINGS, _CONSTANT = {"linear_stiffness": 1, "quadratic_stiffness": 2, "cubic_stiffness": 3}, 0.1
@@ -71,7 +73,8 @@ def veto(problem: Problem, h: Hypothesis) -> str:
             return "the recording goes beyond the limit that is said to clip it"
         if e.effect.id == "end_stop" and abs(z[1]) >= 0.9999:
             return "the stop lies outside the travelled range"
-        if e.effect.id == "end_stop" and _yields(h, e, values[1]) and not _removes_all(problem, h):
+        pressed = _PRESSED if e.effect.id == "end_stop" and not _removes_all(problem, h) else _LEANING
+        if e.effect.id == "end_stop" and _yields(h, e, values[1], pressed):
             return "the recording goes far beyond the stop: it yields like a spring"
         if e.effect.id in ("sensor_saturation", "actuator_saturation", "overflow"):
             top = z[0] if not first.log else np.exp(z[0])
@@ -94,12 +97,13 @@ def _past(x, edge: float, side: int) -> np.ndarray:
     return {0: np.abs(x) - abs(edge), 1: x - edge, -1: edge - x}[side]
 
 
-def _yields(h: Hypothesis, located, position: float) -> bool:
-    """Whether the simulated position is beyond the stop often and passes it by a large part of half the travel."""
+def _yields(h: Hypothesis, located, position: float, often: float) -> bool:
+    """Whether the simulated position is beyond the stop for more than a share of the time, `often`, and passes it by a
+    large part of half the travel."""
     k, side = located.place.ii[5], located.place.ii[10]
     s = np.concatenate([h.fit.X[:, k], h.test.X[:, k]])
     depth = _past(s, position, side)
-    return bool(np.mean(depth > 0) > _PRESSED and depth.max() > _YIELDING * np.ptp(s) / 2)
+    return bool(np.mean(depth > 0) > often and depth.max() > _YIELDING * np.ptp(s) / 2)
 
 
 def _removes_all(problem: Problem, h: Hypothesis) -> bool:
