@@ -14,13 +14,14 @@ def law_over(problem: Problem, hypothesis: Hypothesis, variable: str, z: np.ndar
              ) -> np.ndarray | None:
     """What one of the effects adds, as a force or a change of its input, with `variable` at z and all else zero.
 
-    None for laws with memory, for sensors, and for variables that are neither state nor input.
+    None for laws with memory, for sensors, for laws between two bodies, and for variables that are neither state nor
+    input.
     """
     plant, located = problem.plant, hypothesis.located[index]
     names = (*plant.state_names, *plant.input_names)
     if located.effect.extra_states or located.effect.delays or located.place.kind not in ("state", "input"):
         return None
-    if variable not in names:
+    if variable not in names or located.effect.between:
         return None
     nx, nu, _ = plant.sizes
     ii, values = np.array(located.place.ii), hypothesis.values()[index]

@@ -1,9 +1,9 @@
 """An effect's kernel rewritten as plain Python functions with names, for the repaired simulator's file.
 
 A kernel is one function for all phases and places. Here its source is specialised to one phase and one place:
-integers that say where it acts become constants, branches that can never be taken go, `push` becomes an addition
-to an input or a rate, `slide` becomes the level it is given, parameters, states and inputs get their names. Each
-rewriting keeps the meaning; the tests compare the result with the engine for every effect of the catalogue.
+integers that say where it acts become constants, branches that can never be taken go, `push` and `react` become
+additions to an input or a rate, `slide` becomes the level it is given, parameters, states and inputs get their names.
+Each rewriting keeps the meaning; the tests compare the result with the engine for every effect of the catalogue.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from pwaid.mismatch.model import Located
 __all__ = ["Law", "identifier", "law_functions"]
 
 ARRAYS = {"x": "state", "xs": "seen", "u": "inputs", "p": "params", "dx": "rates"}
+_FORCES = {"push": (1, 2, 3), "react": (7, 8, 11)}  # integers of a place: how a force enters, where, what inertia
 ROLES = {  # function suffix: phase, arguments
     "memory": (0, "t, h, state, inputs, params"),
     "seen": (1, "t, h, state, seen, inputs, params"),
@@ -259,21 +260,21 @@ class _Fold(ast.NodeTransformer):
 
 
 class _Calls(ast.NodeTransformer):
-    """`push` as an addition in its phase, `slide` as the level it is given."""
+    """`push` and `react` as additions in their phase, `slide` as the level it is given."""
 
     def __init__(self, phase: int, row):
         self.phase, self.row = phase, row
 
     def visit_Expr(self, node):
-        """A call of `push` or `slide` as a plain statement; None where the push belongs to the other phase."""
+        """A call of one of them as a plain statement; None where the force belongs to the other phase."""
         call = node.value
         if not (isinstance(call, ast.Call) and isinstance(call.func, ast.Name)):
             return node
         if call.func.id == "slide":
             return ast.Return(call.args[1])
-        if call.func.id != "push":
+        if call.func.id not in _FORCES:
             return node
-        through, target, inertia = (int(v) for v in self.row[1:4])
+        through, target, inertia = (int(self.row[k]) for k in _FORCES[call.func.id])
         if self.phase != (2 if through == 1 else 1):
             return None
         force, sign = call.args[1], ast.Add()

@@ -19,6 +19,7 @@ from pwaid.mismatch.units import KNOWN, combine, factor_of, parse_unit, scaled_u
 
 __all__ = ["find_structure"]
 
+VISITED = 500  # states kept
 _SPEEDS = ("speed", "angular_speed")
 _NO_MOTION = ("current", "voltage", "charge", "temperature", "force", "torque", "pressure", "flow", "acceleration")
 _NAMES = {
@@ -88,7 +89,7 @@ def find_structure(plant: Plant, states, inputs, outputs, input_units, output_un
         plant, tuple(kinds), partner, ratio, entry, scale, tuple(units), funits, iunits, low, high, rms_u,
         *input_range, in_units, np.min(outputs, axis=0),
         np.max(outputs, axis=0), out_units, shown, time_scale, float(length), tuple(free), mobility,
-        _hook_scale(plant, inputs, outputs))
+        _hook_scale(plant, inputs, outputs), states[::max(1, len(states) // VISITED)])
 
 
 def _hook_scale(plant, inputs, outputs):
@@ -252,9 +253,9 @@ def _relative_speeds(kinds, units, plant, points):
     F, Xs = np.array([plant.derivative(x, u) for x, u in points]), np.array([x for x, _ in points])
     if np.linalg.matrix_rank(Xs) < Xs.shape[1]:
         return
-    for rate in F.T:
+    for own, rate in enumerate(F.T):
         found = two_terms(Xs, rate)
-        if found is None:
+        if found is None or own in found[0]:  # a body's own damping beside the spring that drives it
             continue
         pair, weights = found
         same = np.isclose(*np.abs(weights), rtol=1e-6)

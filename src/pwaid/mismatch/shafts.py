@@ -2,42 +2,44 @@
 
 from __future__ import annotations
 
+import itertools
+
 import numpy as np
 
 from pwaid.mismatch.effects.base import Place
 from pwaid.mismatch.structure import Structure, two_terms
 
-__all__ = ["shafts", "single_masses", "twists"]
+__all__ = ["coupled", "shafts", "single_masses", "twisted_by", "twists"]
 
 
 def shafts(s: Structure) -> list[Place]:
-    """Pairs of positions joined by a stiff spring: one depends on the other's difference only."""
+    """Pairs of positions joined by a spring."""
     places = []
-    vs = [v for v in s.velocities() if s.position_of(v) >= 0]
-    for a in vs:
-        for b in vs:
-            if a == b:
-                continue
-            xa, xb = s.position_of(a), s.position_of(b)
-            gear = _shaft_ratio(s, a, b, xa, xb)
-            if gear is None or (a > b and _shaft_ratio(s, b, a, xb, xa) is not None):
-                continue
-            ii = s.force_ii(a)
-            ii[5], ii[9], ii[6] = xa, xb, b
-            twist = max(abs(_twist(s, xa, xb, gear)), 1e-12)
-            names = [s.plant.state_names[xa], s.plant.state_names[xb]]
-            constants = (gear, float(s.ratio[xb]), float(s.ratio[xa]),
-                         *_damped(s, a, b, s.ratio[xa] / gear, -s.ratio[xb]))
-            places.append(s.place("state", "-".join(names), names, ii, v=a, x=xa, scales={"position": twist},
-                                  constants=constants))
+    for a, b, gear in coupled(s):
+        xa, xb = s.position_of(a), s.position_of(b)
+        ii = s.force_ii(a)
+        ii[5], ii[9], ii[6] = xa, xb, b
+        twist = max(abs(_twist(s, xa, xb, gear)), 1e-12)
+        names = [s.plant.state_names[xa], s.plant.state_names[xb]]
+        constants = (gear, float(s.ratio[xb]), float(s.ratio[xa]),
+                     *_damped(s, a, b, s.ratio[xa] / gear, -s.ratio[xb]))
+        places.append(s.place("state", "-".join(names), names, ii, v=a, x=xa, scales={"position": twist},
+                              constants=constants))
     return places
+
+
+def coupled(s: Structure) -> list[tuple[int, int, float]]:
+    """Pairs of speeds a, b whose positions a spring joins, and its gear: the force follows x_a / gear - x_b."""
+    vs = [v for v in s.velocities() if s.position_of(v) >= 0]
+    found = ((a, b, _gear(s, a, b)) for a, b in itertools.combinations(vs, 2))
+    return [(a, b, gear) for a, b, gear in found if gear is not None]
 
 
 def twists(s: Structure) -> list[Place]:
     """States that are the twist of a shaft between two speeds, and drive one of them."""
     places = []
     for z in range(len(s.kinds)):
-        pair = _twisted_by(s, z)
+        pair = twisted_by(s, z)
         if pair is None or not any(abs(s.slope(v, z, *s.points(1)[0])) > 0 for v in pair[0]):
             continue
         (a, b), weights = pair
@@ -80,7 +82,7 @@ def _damped(s: Structure, a: int, b: int, weight_a: float, weight_b: float) -> t
     return s.slope(a, b, *point) / weight_b, s.slope(b, a, *point) / weight_a
 
 
-def _twisted_by(s: Structure, z: int) -> tuple[tuple[int, int], tuple[float, float]] | None:
+def twisted_by(s: Structure, z: int) -> tuple[tuple[int, int], tuple[float, float]] | None:
     """The two speeds, and their weights, of which the rate of this state is the difference; None if it is none."""
     vs = s.velocities()
     if s.kinds[z] in ("velocity", "position") or len(vs) < 2:
@@ -95,16 +97,29 @@ def _twisted_by(s: Structure, z: int) -> tuple[tuple[int, int], tuple[float, flo
     return (vs[a], vs[b]), (float(weights[0]), float(weights[1]))
 
 
-def _shaft_ratio(s: Structure, a, b, xa, xb):
-    ratios = []
-    for x, u in s.points(6):
-        ja = s.slope(a, xa, x, u), s.slope(a, xb, x, u)
-        jb = s.slope(b, xa, x, u), s.slope(b, xb, x, u)
-        if not (abs(ja[1]) > 0 and abs(jb[0]) > 0 and abs(jb[1]) > 0):
-            return None
-        ratios.append(-jb[1] / jb[0])
-    ratios = np.array(ratios)
-    if np.ptp(ratios) > 1e-3 * abs(ratios.mean()) or ratios.mean() <= 0:
+def _gear(s: Structure, a: int, b: int) -> float | None:
+    """The gear between two bodies; None where no spring joins them.
+
+    Alone on their spring, both show it. With a spring to the ground as well, one of them does, or, in one unit and
+    without a gear, the forces that they exert on each other are equal.
+    """
+    xa, xb = s.position_of(a), s.position_of(b)
+    slopes = np.array([[[s.slope(v, z, x, u) for z in (xa, xb)] for v in (a, b)] for x, u in s.points(6)])
+    if np.any(slopes[:, [0, 1], [1, 0]] == 0.0):
+        return None
+    own_a, own_b = _steady(-slopes[:, 0, 1] / slopes[:, 0, 0]), _steady(-slopes[:, 1, 1] / slopes[:, 1, 0])
+    known = [g for g in (own_a, own_b) if g is not None]
+    if len(known) == 2 and abs(own_a - own_b) < 1e-3 * own_a:
+        return own_b
+    if s.state_units[xa] == s.state_units[xb] and own_a is not None and own_b is not None and own_a <= 1.001 \
+            and own_b >= 0.999:
+        return 1.0  # any other gear would need a ground that pulls away
+    return known[-1] if known else None
+
+
+def _steady(ratios) -> float | None:
+    """The mean of ratios that are positive and the same everywhere; None where they are not."""
+    if not np.all(np.isfinite(ratios)) or np.ptp(ratios) > 1e-3 * abs(ratios.mean()) or ratios.mean() <= 0:
         return None
     return float(ratios.mean())
 

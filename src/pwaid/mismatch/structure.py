@@ -70,7 +70,8 @@ class OutputMap:
 
 @dataclass(frozen=True)
 class Structure:
-    """Roles of states, inputs and outputs, with the ranges met in the recordings."""
+    """Roles of states, inputs and outputs, with the ranges met in the recordings; `visited` are some of the states met,
+    (n, nx)."""
 
     plant: Plant
     kinds: tuple[str, ...]
@@ -96,6 +97,7 @@ class Structure:
     free: tuple[str, ...]
     mobility: dict[int, float] = field(default_factory=dict)
     hook_scale: tuple[float, ...] = ()
+    visited: np.ndarray = field(default_factory=lambda: np.zeros((1, 0)), repr=False)
 
     # ------------------------------------------------------------------ helpers
     @property

@@ -97,11 +97,19 @@ def _past(x, edge: float, side: int) -> np.ndarray:
     return {0: np.abs(x) - abs(edge), 1: x - edge, -1: edge - x}[side]
 
 
+def _position(located, X) -> np.ndarray:
+    """The simulated position (N,) that a stop ends: of a body, or of one against another."""
+    first, second = located.place.ii[5], located.place.ii[9]
+    if not located.effect.between:
+        return X[:, first]
+    return located.place.constants[0] * X[:, first] + located.place.constants[1] * X[:, second]
+
+
 def _yields(h: Hypothesis, located, position: float, often: float) -> bool:
     """Whether the simulated position is beyond the stop for more than a share of the time, `often`, and passes it by a
     large part of half the travel."""
-    k, side = located.place.ii[5], located.place.ii[10]
-    s = np.concatenate([h.fit.X[:, k], h.test.X[:, k]])
+    side = located.place.ii[10]
+    s = np.concatenate([_position(located, h.fit.X), _position(located, h.test.X)])
     depth = _past(s, position, side)
     return bool(np.mean(depth > 0) > often and depth.max() > _YIELDING * np.ptp(s) / 2)
 

@@ -18,10 +18,11 @@ ii meaning
 4  state index of the velocity (or of the stored quantity: level, temperature, ...)
 5  state index of the position, or -1
 6  a second velocity or stored quantity, or -1
-7  output index
-8  input index
+7  output index; between two bodies, how the force on the second one enters, as 1
+8  input index; between two bodies, what that force enters, as 2
 9  a second position, or -1
 10 a variant of the law
+11 between two bodies, the inertia of the second one, as 3; else what a law makes of it
 == ==================================================================================
 """
 
@@ -38,7 +39,7 @@ from pwaid.errors import InputError
 from pwaid.mismatch.engine import EFFECT_SIGNATURE
 from pwaid.mismatch.units import combine
 
-__all__ = ["Effect", "Place", "Quantity", "push", "scale_of", "slide", "unit_of"]
+__all__ = ["Effect", "Place", "Quantity", "push", "react", "scale_of", "slide", "unit_of"]
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
@@ -52,6 +53,19 @@ def push(phase, force, ii, u, p, dx):
             dx[ii[2]] += force / p[ii[3]]
         else:
             dx[ii[2]] += force
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def react(phase, force, ii, u, p, dx):
+    """The same for the second of two bodies."""
+    if ii[7] != 1:
+        if phase == 1:
+            u[ii[8]] += force if ii[7] == 0 else -force
+    elif phase == 2:
+        if ii[11] >= 0:
+            dx[ii[8]] += force / p[ii[11]]
+        else:
+            dx[ii[8]] += force
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -120,6 +134,7 @@ class Effect:
     """One piece of physics that a simulator may have left out.
 
     `reshapes`: it changes what forces accelerate, so it acts after them and has a phase 6 for mobility columns.
+    `between`: it acts between two bodies, and depends on how one moves against the other.
     """
 
     id: str
@@ -137,6 +152,7 @@ class Effect:
     dissipative: bool = False
     delays: bool = False
     reshapes: bool = False
+    between: bool = False
     start: str = "zero"
     cached: bool = field(default=True, repr=False)
 

@@ -18,6 +18,7 @@ from __future__ import annotations
 from pwaid.errors import InputError
 from pwaid.mismatch.effects import (
     actuator,
+    between,
     coriolis,
     damping,
     friction,
@@ -33,7 +34,7 @@ __all__ = ["CATALOGUE", "effect_by_id", "register", "table"]
 
 CATALOGUE: list[Effect] = [
     effect
-    for group in (friction, damping, position, transmission, coriolis, actuator, sensor, stores, time_effects)
+    for group in (friction, damping, position, between, transmission, coriolis, actuator, sensor, stores, time_effects)
     for effect in group.EFFECTS
 ]
 

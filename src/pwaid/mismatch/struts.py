@@ -1,0 +1,79 @@
+"""Where a law may act between two bodies: on what turns or moves one against the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pwaid.mismatch.effects.base import Place
+from pwaid.mismatch.shafts import coupled, twisted_by
+from pwaid.mismatch.structure import Structure
+
+__all__ = ["struts"]
+
+
+@dataclass(frozen=True)
+class _Joint:
+    """Two coupled bodies a, b (their speeds): weights of two positions in their relative position, of their speeds in
+    its rate, and what a unit of the relative force adds to the force on either."""
+
+    a: int
+    b: int
+    positions: tuple[int, int]
+    weights: tuple[float, float]
+    rates: tuple[float, float]
+    forces: tuple[float, float]
+
+
+def struts(s: Structure, sides: bool = False) -> list[Place]:
+    """Every pair of bodies that a spring of the simulator couples; one per side of its rest for stops.
+
+    The constants are weights: of two positions in the relative one, of two speeds in its rate, and of the relative
+    force in the forces on both bodies.
+    """
+    places = []
+    for joint in _joints(s):
+        z = s.visited[:, joint.positions] @ np.array(joint.weights)
+        rate = s.visited[:, [joint.a, joint.b]] @ np.array(joint.rates)
+        reach, speed = (max(float(np.max(np.abs(v))), 1e-12) for v in (z, rate))
+        mode, target, inertia = s.entry[joint.b]
+        names = [s.plant.state_names[i] for i in dict.fromkeys(joint.positions)]
+        for side in (0, 1, -1) if sides else (0,):
+            ii = s.force_ii(joint.a)
+            ii[5], ii[9], ii[6], ii[7], ii[8], ii[10], ii[11] = *joint.positions, joint.b, mode, target, side, inertia
+            low, high = float(z.min()), float(z.max())
+            span = {0: (0.0, reach), 1: (low, high - low), -1: (high, low - high)}[side]
+            places.append(s.place(
+                "state", "-".join(names), names, ii, v=joint.a, x=joint.positions[0],
+                scales={"position": reach, "speed": speed}, levels={"position": span},
+                constants=(*joint.weights, *joint.rates, *joint.forces),
+                note=("both sides", "upper", "lower")[side] if sides else ""))
+    return places
+
+
+def _joints(s: Structure) -> list[_Joint]:
+    """The coupled pairs of bodies: two positions with a spring between them, or a state that is their twist."""
+    found = [_joint(s, a, b, gear) for a, b, gear in coupled(s)]
+    return found + [j for j in (_by_twist(s, z) for z in range(len(s.kinds))) if j is not None]
+
+
+def _joint(s: Structure, a: int, b: int, gear: float) -> _Joint:
+    xa, xb = s.position_of(a), s.position_of(b)
+    x, u = s.points(1)[0]
+    on_a, on_b = s.slope(a, xb, x, u) / s.mobility[a], s.slope(b, xa, x, u) / s.mobility[b]
+    return _Joint(a, b, (xa, xb), (1.0 / gear, -1.0), (float(s.ratio[xa]) / gear, -float(s.ratio[xb])),
+                  (1.0 / gear, -on_b / on_a))
+
+
+def _by_twist(s: Structure, z: int) -> _Joint | None:
+    """The joint of two bodies whose twist is the state z, where that drives both."""
+    pair = twisted_by(s, z)
+    if pair is None:
+        return None
+    (a, b), rates = pair
+    x, u = s.points(1)[0]
+    on_a, on_b = s.slope(a, z, x, u) / s.mobility[a], s.slope(b, z, x, u) / s.mobility[b]
+    if on_a == 0.0 or on_b == 0.0:
+        return None
+    return _Joint(a, b, (z, z), (1.0, 0.0), rates, (rates[0], rates[0] * on_b / on_a))

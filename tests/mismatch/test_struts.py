@@ -1,0 +1,153 @@
+"""Laws between two bodies: where they are found, what they do, and that one is named."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import control
+import numpy as np
+import pytest
+from tests_support import multisine, record
+
+from pwaid.mismatch import explain
+from pwaid.mismatch.dataset import Dataset
+from pwaid.mismatch.effects.registry import effect_by_id
+from pwaid.mismatch.model import Model, Settings
+from pwaid.mismatch.plant import as_plant
+from pwaid.mismatch.probing import find_structure
+from pwaid.mismatch.screen import locate_effects
+from pwaid.recording import Recording
+
+DATA = Dataset.from_recordings([record(1, samples=300)])
+
+
+def stop(s, v):
+    depth = s - np.clip(s, -0.2, 0.2)
+    force = 60.0 * depth + 0.5 * v
+    return force if depth * force > 0.0 else 0.0
+
+
+LAWS = {  # parameters, force of relative position s and speed v
+    "viscous_friction": ([0.8], lambda s, v: 0.8 * v),
+    "asymmetric_viscous_friction": ([0.8, 0.2], lambda s, v: (0.8 if v > 0 else 0.2) * v),
+    "quadratic_drag": ([0.7], lambda s, v: 0.7 * v * abs(v)),
+    "cubic_stiffness": ([5.0], lambda s, v: 5.0 * s**3),
+    "end_stop": ([60.0, 0.2, 0.5], stop),
+}
+
+
+def quarter_car(law=None):
+    def update(t, x, u, params):
+        mb, mw = params["mb"], params["mw"]
+        s, v = x[0] - x[1], x[2] - x[3]
+        force = 20.0 * s + 1.0 * v + (law(s, v) if law else 0.0)
+        return np.array([x[2], x[3], -force / mb, (force + 60.0 * (u[0] - x[1])) / mw])
+    return _system(update, ["zb", "zw", "vb", "vw"], {"mb": 1.3, "mw": 0.4})
+
+
+def geared_drive(law=None):
+    """A motor that turns three times per turn of its load, measured in degrees."""
+    def update(t, x, u, params):
+        s, v = x[0] / 3.0 - x[1], x[2] / 3.0 - x[3]
+        force = 0.4 * s + (law(s, v) if law else 0.0)
+        return np.array([x[2], x[3], (u[0] - force / 3.0) / params["jm"], force / params["jl"]])
+    return _system(update, ["qm", "ql", "wm", "wl"], {"jm": 0.02, "jl": 0.3})
+
+
+def chain(law=None):
+    """Three bodies between two walls; the law is between the second and the third."""
+    def update(t, x, u, params):
+        q, w, m = x[:3], x[3:], params["m"]
+        a = 5.0 * (q[0] - q[1])
+        b = 9.0 * (q[1] - q[2]) + (law(q[1] - q[2], w[1] - w[2]) if law else 0.0)
+        return np.array([w[0], w[1], w[2], (u[0] - a - q[0]) / m, (a - b) / 0.7, (b - 2.0 * q[2] - 0.1 * w[2]) / 0.5])
+    return _system(update, ["q1", "q2", "q3", "w1", "w2", "w3"], {"m": 0.8})
+
+
+def twisted(law=None):
+    def update(t, x, u, params):
+        force = 8.0 * x[2] + (law(x[2], x[0] - x[1]) if law else 0.0)
+        return np.array([(u[0] - force - 0.1 * x[0]) / params["jm"], (force - 0.2 * x[1]) / params["jl"], x[0] - x[1]])
+    return _system(update, ["wm", "wl", "twist"], {"jm": 0.2, "jl": 0.5})
+
+
+def _system(update, states, params):
+    return control.nlsys(update, lambda t, x, u, params: x[:2], inputs=["u"], outputs=["y1", "y2"], states=states,
+                         params=params)
+
+
+SIMULATORS = {quarter_car: ("m", "m", "zb-zw"), chain: ("N", "m", "q2-q3"), twisted: ("N m", "rad/s", "twist")}
+
+
+def _placed(simulator, units, name):
+    plant = as_plant(simulator)
+    data = replace(DATA, Y=np.repeat(DATA.Y, 2, axis=1))
+    states = np.random.default_rng(0).normal(size=(64, plant.sizes[0]))
+    s = find_structure(plant, states, data.U, data.Y, units[:1], [units[1]] * 2, data.sample_time, 6.0, ())
+    between = [e for e in locate_effects(effect_by_id(name), s) if e.effect.between]
+    return between, Settings(plant, s.partner, s.ratio, (), np.zeros(0), substeps=20), data
+
+
+@pytest.mark.parametrize("name", LAWS)
+@pytest.mark.parametrize("build", SIMULATORS)
+def test_a_law_between_two_bodies_is_that_law_in_the_equations(build, name):
+    values, law = LAWS[name]
+    between, settings, data = _placed(build(), SIMULATORS[build], name)
+    located = next(e for e in between if e.place.signal in (SIMULATORS[build][2], _turned(SIMULATORS[build][2]))
+                   and e.place.note in ("", "both sides"))
+    values = list(values)
+    if build is chain:  # the masses of these two are no parameters: force per mass of the first
+        values = [v / 0.7 if q.size.startswith("force") else v
+                  for v, q in zip(values, located.effect.quantities, strict=True)]
+    sign = -1.0 if located.place.signal != SIMULATORS[build][2] and name == "asymmetric_viscous_friction" else 1.0
+    values = values[::-1] if sign < 0 else values  # the relative position counts the other way
+    start = np.resize([0.5, -0.4], (1, settings.plant.sizes[0]))
+    got = Model(settings, (located,)).simulate_with(settings.plant.vector(), [np.array(values)], start, data)[0]
+    exact = replace(settings, plant=as_plant(build(law)))
+    want = Model(exact, ()).simulate_with(exact.plant.vector(), [], start, data)[0]
+    plain = Model(settings, ()).simulate_with(settings.plant.vector(), [], start, data)[0]
+    assert np.max(np.abs(plain - want)) > 1e-3 * np.max(np.abs(want))
+    np.testing.assert_allclose(got, want, atol=2e-3 * np.max(np.abs(plain - want)))
+
+
+def _turned(signal: str) -> str:
+    return "-".join(reversed(signal.split("-")))
+
+
+def test_a_gear_scales_a_law_between_motor_and_load():
+    between, settings, data = _placed(geared_drive(), ("N m", "deg"), "quadratic_drag")
+    assert len(between) == 1
+    start = np.full((1, 4), 0.1)
+    vector = settings.plant.vector()
+    got = Model(settings, tuple(between)).simulate_with(vector, [np.array([0.03])], start, data)[0]
+    exact = replace(settings, plant=as_plant(geared_drive(lambda s, v: 0.03 * v * abs(v))))
+    want = Model(exact, ()).simulate_with(vector, [], start, data)[0]
+    np.testing.assert_allclose(got, want, rtol=1e-4, atol=1e-6)
+
+
+def _ride(seed: int) -> Recording:
+    """A quarter car over a road, whose damper is three times as hard in rebound as in compression."""
+    rng, samples, dt, fine = np.random.default_rng(seed), 1200, 0.02, 20
+    t = np.arange(samples) * dt
+    u = 0.1 * multisine(rng, t, 2.0)
+    update = quarter_car(lambda s, v: 2.0 * v if v > 0 else 0.0).updfcn
+    x, y, h = np.zeros(4), np.empty((samples, 2)), dt / fine
+    for k in range(samples):
+        y[k] = x[:2]
+        for _ in range(fine):
+            mid = x + h / 2 * update(0.0, x, u[k:k + 1], {"mb": 1.3, "mw": 0.4})
+            x = x + h * update(0.0, mid, u[k:k + 1], {"mb": 1.3, "mw": 0.4})
+    y += 2e-3 * rng.normal(size=y.shape)
+    return Recording(t, u[:, None], y, ("u",), ("y1", "y2"), {"u": "m", "y1": "m", "y2": "m"}, name=f"r{seed}.csv")
+
+
+def test_a_damper_that_is_harder_in_rebound_is_named_between_body_and_wheel():
+    recordings = [_ride(s) for s in (1, 2, 3)]
+    report = explain(quarter_car(), recordings[:2], recordings[2:], ["mb"])
+    assert report.verdict == "named"
+    effect, = report.effects
+    assert effect["id"] == "asymmetric_viscous_friction"
+    assert effect["where"]["signal"] in ("zb-zw", "zw-zb")
+    levels = sorted(effect["parameters"][k]["value"] for k in ("coefficient_positive", "coefficient_negative"))
+    np.testing.assert_allclose(levels[1], 2.0, rtol=0.05)
+    assert levels[0] < 0.1
