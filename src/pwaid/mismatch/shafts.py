@@ -45,10 +45,9 @@ def twists(s: Structure) -> list[Place]:
         (a, b), weights = pair
         ii = s.force_ii(a)
         ii[4], ii[5], ii[6] = a, z, b
-        unit = {**s.state_units[a], "s": s.state_units[a].get("s", 0) + 1}
         places.append(s.place("state", s.plant.state_names[z], [s.plant.state_names[z]], ii, v=a,
                               scales={"position": s.reach(z)}, constants=(*weights, *_damped(s, a, b, *weights)),
-                              units={"position": {symbol: n for symbol, n in unit.items() if n}}))
+                              units={"position": _travel(s, a)}))
     return places
 
 
@@ -58,22 +57,27 @@ def single_masses(s: Structure) -> list[Place]:
     if shafts(s):
         return places
     for v in s.velocities():
-        x = s.position_of(v)
-        if x < 0:
-            continue
-        ii = s.force_ii(v)
+        ii, x = s.force_ii(v), s.position_of(v)
         # a shaft that turns on and on has gaps of the size it moves in a time constant, not of its whole travel
-        near = {"position": min(s.reach(x), s.reach(v) * s.time_scale)}
-        speed, position = s.plant.state_names[v], s.plant.state_names[x]
-        places.append(s.place("state", speed, [position], ii, v=v, x=x, constants=(1.0,), scales=near,
-                              note="motor side measured"))
+        near = s.reach(v) * s.time_scale
+        speed, position = s.plant.state_names[v], s.plant.state_names[x if x >= 0 else v]
+        more = {"scales": {"position": min(s.reach(x), near) if x >= 0 else near},
+                "units": {} if x >= 0 else {"position": _travel(s, v)}}
+        places.append(s.place("state", speed, [position], ii, v=v, x=x, constants=(1.0,), note="motor side measured",
+                              **more))
         for k, state in enumerate(s.output_state):
-            if state in (x, v):
+            if state in {x, v} - {-1}:
                 jj = list(ii)
                 jj[7], jj[10], jj[11] = k, 1, int(state == v)
                 places.append(s.place("state", speed, [position], jj, v=v, x=x, constants=(s.shown.gain[k],),
-                                      scales=near, note="load side measured"))
+                                      note="load side measured", **more))
     return places
+
+
+def _travel(s: Structure, v: int) -> dict:
+    """Unit of what a speed moves through."""
+    unit = {**s.state_units[v], "s": s.state_units[v].get("s", 0) + 1}
+    return {symbol: n for symbol, n in unit.items() if n}
 
 
 def _damped(s: Structure, a: int, b: int, weight_a: float, weight_b: float) -> tuple[float, float]:

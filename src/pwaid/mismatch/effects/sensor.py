@@ -74,7 +74,7 @@ def nonlinearity(phase, t, h, x, xs, u, p, dx, ii, q):
 
 EFFECTS = (
     Effect("sensor_saturation", "sensor", "y = clip(y, limit)",
-           (Quantity("limit", "output_level", 0.02, 1.0, (0.4, 0.6, 0.8, 0.92), log=False),), saturation,
+           (Quantity("limit", "output_level", 0.02, 1.02, (0.4, 0.6, 0.8, 0.92), log=False),), saturation,
            lambda s: s.outputs(sides=True), ("end_stop", "actuator_saturation"),
            "look at the speed on leaving the flat top: behind a clipped sensor the motion goes on"),
     Effect("sensor_rectification", "sensor", "y = |y|", (), rectification, lambda s: s.outputs(unsigned=True),
