@@ -98,3 +98,31 @@ def test_one_sharp_outlet_of_linked_tanks_is_found(name):
         assert outlet.place.signal == "low"
         assert decision.chosen.values()[0][0] == pytest.approx(4.0 / 110.0, rel=0.05)
         assert outlet.units() == ["cm^0.5/s"]
+
+
+def conical(t, x, u, params):
+    """A tank that widens, its level in cm, with a pipe below it that the simulator ends at the bottom."""
+    h = max(x[0], 0.0) / 100.0
+    return np.array([100.0 * (3e-4 * u[0] - params["a"] * np.sqrt(2 * 9.81 * (h + params["drop"]))) / (0.05 + 0.2 * h)])
+
+
+def test_a_head_offset_leaves_the_area_of_a_conical_tank_alone():
+    runs = []
+    for seed in (1, 2, 3):
+        rng = np.random.default_rng(seed)
+        u = np.repeat(rng.uniform(1.0, 3.0, 12), 60)
+        x, y, true = np.array([30.0]), np.empty((u.size, 1)), {"a": 1.9e-4, "drop": 0.25}
+        for k in range(u.size):
+            y[k] = x
+            for _ in range(20):
+                x = np.maximum(x + 0.1 * conical(0.0, x, u[k:k + 1], true), 0.0)
+        runs.append(Recording(2.0 * np.arange(u.size), u[:, None], y + 0.2 * rng.normal(size=y.shape), ("pump",), ("h",),
+                              {"pump": "V", "h": "cm"}, name=f"r{seed}.csv"))
+    plant = control.nlsys(conical, lambda t, x, u, params: x, inputs=["pump"], outputs=["h"], states=["h"],
+                          params={"a": 2.1e-4, "drop": 0.0})
+    found = collect(plant, runs[:2], runs[2:], ["a"],
+                    effects=[e for i in ("square_root_outflow", "head_offset", "leakage") for e in effect_by_id(i)])
+    decision = decide(found.problem, found.null, found.singles, found.pairs)
+    assert (decision.verdict, decision.chosen.ids) == ("named", ("head_offset",))
+    assert decision.chosen.values()[0][0] == pytest.approx(25.0, rel=0.05)
+    assert decision.chosen.located[0].place.note == "through a"

@@ -52,6 +52,10 @@ def find_structure(plant: Plant, states, inputs, outputs, input_units, output_un
     points = _points(plant, rng, low, high, rms_u, input_range)
     partner, ratio = _kinematics(plant, points, low, high)
     shown = _output_map(plant, points)
+    for k, i in enumerate(shown.state):
+        if i >= 0:  # a simulator that lacks friction or a stop goes elsewhere than the machine
+            met = shown.state_of(k, np.quantile(outputs[:, k], [0.002, 0.998]))
+            low[i], high[i] = min(low[i], met.min()), max(high[i], met.max())
     in_units = tuple(parse_unit(u) for u in input_units)
     out_units = tuple(parse_unit(u) for u in output_units)
     units = [{} for _ in range(nx)]

@@ -9,7 +9,7 @@ import numpy as np
 from pwaid.mismatch.effects.base import Place
 from pwaid.mismatch.structure import Structure
 
-__all__ = ["cascades", "outlets", "stores"]
+__all__ = ["cascades", "outlets", "sloped_outlets", "stores"]
 
 STEP = 1e-4  # relative change of a parameter
 ZEROS = {"degC": 273.15, "°C": 273.15, "C": 273.15, "degF": 459.67}  # what makes a temperature in it absolute
@@ -58,20 +58,10 @@ def outlets(s: Structure) -> list[Place]:
     The derivative of every rate by such a parameter is proportional to the head, whatever the inputs are.
     """
     members = _members(s, "fluid")
-    if not members or s.plant.black_box is not None:
-        return []
-    points, p = s.points(12), s.plant.vector()
-    X = np.array([x for x, _ in points])
     heads = [(i, -1) for i in members] + list(itertools.combinations(members, 2))
     places = []
-    for n, name in enumerate(s.plant.parameters):
-        if name not in s.free or p[n] == 0.0:
-            continue
-        more, less = p.copy(), p.copy()
-        more[n] *= 1 + STEP
-        less[n] *= 1 - STEP
-        change = np.array([s.plant.derivative(x, u, more) - s.plant.derivative(x, u, less) for x, u in points])
-        size = np.max(np.abs(change), axis=0)
+    for n, name, points, change in _flows(s, members, s.free):
+        X, size = np.array([x for x, _ in points]), np.max(np.abs(change), axis=0)
         for i, j in heads:
             head = X[:, i] - (X[:, j] if j >= 0 else 0.0)
             gain = head @ change / (head @ head)
@@ -80,6 +70,62 @@ def outlets(s: Structure) -> list[Place]:
                 ii = [0, 0, i, n, i, -1, j, -1, -1, -1, 0, 0]
                 places.append(s.place("state", names[0], names, ii, x=i, note=f"through {name}"))
     return places
+
+
+def sloped_outlets(s: Structure) -> list[Place]:
+    """A place for every parameter k that acts as the flow k*h or k*sqrt(h) out of a store whose area depends on h.
+
+    The area shows in how much an input raises the level; the constant is the power of h in the flow.
+    """
+    places = []
+    for i in _members(s, "fluid"):
+        for n, name, points, change in _flows(s, [i], s.plant.parameters):
+            power = _power(s, i, n, points) if np.all(change[:, i] < 0.0) else None
+            if power is not None:
+                ii = [0, 0, i, n, i, -1, -1, -1, -1, -1, 0, 0]
+                places.append(s.place("state", s.plant.state_names[i], [s.plant.state_names[i]], ii, x=i,
+                                      constants=(power,), note=f"through {name}"))
+    return places
+
+
+def _flows(s: Structure, members, names):
+    """Parameter, its name, points and the derivative of every rate by it there, (points, nx), in steps of its size."""
+    if not members or s.plant.black_box is not None:
+        return
+    points, p = s.points(12), s.plant.vector()
+    for n, name in enumerate(s.plant.parameters):
+        if name in names and p[n] != 0.0:
+            yield n, name, points, np.array([_change(s, x, u, p, n) for x, u in points])
+
+
+def _change(s: Structure, x, u, p, n: int) -> np.ndarray:
+    more, less = p.copy(), p.copy()
+    more[n] *= 1 + STEP
+    less[n] *= 1 - STEP
+    return s.plant.derivative(x, u, more) - s.plant.derivative(x, u, less)
+
+
+def _power(s: Structure, i: int, n: int, points) -> float | None:
+    """The power, 0.5 or 1, of level i in the flow that parameter n scales, where the store's area depends on the level;
+    None where there is no such, or no input that shows the area."""
+    p, found, sloped = s.plant.vector(), [], False
+    for x, u in points:
+        high, low = x.copy(), x.copy()
+        high[i], low[i] = s.high[i], 0.5 * s.high[i]
+        flow = [_change(s, z, u, p, n)[i] for z in (high, low)]
+        fill = [_fill(s, z, i) for z in (high, low)]
+        if not s.high[i] > 0.0 or max(flow) >= 0.0 or min(fill) <= 0.0:
+            return None
+        area = fill[1] / fill[0]
+        sloped |= abs(area - 1.0) > 1e-3
+        found.append(np.log2(flow[0] / flow[1] * area))
+    power = next((q for q in (0.5, 1.0) if np.allclose(found, q, atol=1e-3)), None)
+    return power if sloped else None
+
+
+def _fill(s: Structure, x, i: int) -> float:
+    """How much more the largest inputs raise level i than inputs a tenth smaller."""
+    return float((s.plant.derivative(x, s.input_high) - s.plant.derivative(x, 0.9 * s.input_high))[i])
 
 
 def _members(s: Structure, kind: str) -> list[int]:

@@ -76,7 +76,7 @@ def veto(problem: Problem, h: Hypothesis) -> str:
             return "the recording goes beyond the limit that is said to clip it"
         if e.effect.id == "sensor_saturation" and not _clips(problem, h, e, values[0]):
             return "the limit lies outside the visited range"
-        if e.effect.id == "end_stop" and abs(z[1]) >= 0.9999:
+        if e.effect.id == "end_stop" and not np.any(_depths(h, e, values[1]) > 0.0):
             return "the stop lies outside the travelled range"
         pressed = _PRESSED if e.effect.id == "end_stop" and not _removes_all(problem, h) else _LEANING
         if e.effect.id == "end_stop" and _yields(h, e, values[1], pressed):
@@ -102,21 +102,24 @@ def _past(x, edge: float, side: int) -> np.ndarray:
     return {0: np.abs(x) - abs(edge), 1: x - edge, -1: edge - x}[side]
 
 
-def _position(located, X) -> np.ndarray:
-    """The simulated position (N,) that a stop ends: of a body, or of one against another."""
-    first, second = located.place.ii[5], located.place.ii[9]
+def _positions(h: Hypothesis, located) -> np.ndarray:
+    """The simulated positions, training and held out, that a stop ends: of a body, or of one against another."""
+    X, first, second = np.concatenate([h.fit.X, h.test.X]), located.place.ii[5], located.place.ii[9]
     if not located.effect.between:
         return X[:, first]
     return located.place.constants[0] * X[:, first] + located.place.constants[1] * X[:, second]
 
 
+def _depths(h: Hypothesis, located, position: float) -> np.ndarray:
+    """How far each of them is beyond the stop."""
+    return _past(_positions(h, located), position, located.place.ii[10])
+
+
 def _yields(h: Hypothesis, located, position: float, often: float) -> bool:
     """Whether the simulated position is beyond the stop for more than a share of the time, `often`, and passes it by a
     large part of half the travel."""
-    side = located.place.ii[10]
-    s = np.concatenate([_position(located, h.fit.X), _position(located, h.test.X)])
-    depth = _past(s, position, side)
-    return bool(np.mean(depth > 0) > often and depth.max() > _YIELDING * np.ptp(s) / 2)
+    depth = _depths(h, located, position)
+    return bool(np.mean(depth > 0) > often and depth.max() > _YIELDING * np.ptp(_positions(h, located)) / 2)
 
 
 def _removes_all(problem: Problem, h: Hypothesis) -> bool:

@@ -92,7 +92,7 @@ EFFECTS = (
            ("end_stop", "linear_stiffness"), "a larger amplitude", between=True),
     Effect("end_stop", "position", "F = stiffness*(|x| - position) beyond it, between two bodies",
            (Quantity("stiffness", "force/position", 0.3, 3e4, (30.0, 400.0)),
-            Quantity("position", "position_level", 0.05, 1.0, (0.5, 0.7, 0.85, 0.95), log=False),
+            Quantity("position", "position_level", 0.05, 1.1, (0.5, 0.7, 0.85, 0.95), log=False),
             Quantity("damping", "force/speed", 1e-4, 300.0, (0.3,))), end_stop,
            lambda s: struts(s, sides=True), ("cubic_stiffness", "sensor_saturation"), "reach and hold the stop",
            between=True),

@@ -88,7 +88,7 @@ EFFECTS = (
            "two constant speeds: the frequency follows the speed", contains=("gravity_torque",)),
     Effect("end_stop", "position", "F = stiffness*(|x| - position) beyond it, with damping while pressed",
            (Quantity("stiffness", "force/position", 0.3, 3e4, (30.0, 400.0)),
-            Quantity("position", "position_level", 0.05, 1.0, (0.5, 0.7, 0.85, 0.95), log=False),
+            Quantity("position", "position_level", 0.05, 1.1, (0.5, 0.7, 0.85, 0.95), log=False),
             Quantity("damping", "force/speed", 1e-4, 300.0, (0.3,))), end_stop,
            lambda s: s.positions(sides=True), ("cubic_stiffness", "sensor_saturation"),
            "reach and hold the stop"),

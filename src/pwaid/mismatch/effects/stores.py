@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import sqrt
 
 from pwaid.mismatch.effects.base import Effect, Quantity
-from pwaid.mismatch.vessels import cascades, outlets, stores
+from pwaid.mismatch.vessels import cascades, outlets, sloped_outlets, stores
 
 __all__ = ["EFFECTS"]
 
@@ -54,6 +54,13 @@ def two_head_offsets(phase, t, h, x, xs, u, p, dx, ii, q):
             i = ii[4] if k == 0 else ii[6]
             if q[k] > 0.0 and x[i] <= 0.0 and dx[i] < 0.0:
                 dx[i] = 0.0
+
+
+def head_offset_of_outlet(phase, t, h, x, xs, u, p, dx, ii, q):
+    """The flow k*h^power through one outlet sees the level plus an offset; an empty store gives nothing."""
+    if phase == 1:
+        level = max(x[ii[4]], 0.0)
+        p[ii[3]] *= (max(level + q[0], 0.0) / level) ** q[1] if level > 0.0 else 0.0
 
 
 def leak(phase, t, h, x, xs, u, p, dx, ii, q):
@@ -126,6 +133,9 @@ EFFECTS = (
             Quantity("second_offset", "position", -0.5, 2.0, (0.05, 0.25), log=False)), two_head_offsets,
            lambda s: cascades(s, "fluid"), ("square_root_outflow", "leakage", "sensor_offset"),
            "drain to empty"),
+    Effect("head_offset", "fluid", "flow through one outlet sees h + offset",
+           (Quantity("offset", "position", -0.5, 2.0, (0.05, 0.25), log=False),), head_offset_of_outlet,
+           sloped_outlets, ("square_root_outflow", "leakage", "sensor_offset"), "drain to empty"),
     Effect("leakage", "fluid", "dx/dt = ... - coefficient*x",
            (Quantity("coefficient", "1/time", 1e-4, 10.0, (0.03, 0.15, 0.5)),), leak,
            lambda s: stores(s, "fluid"),
