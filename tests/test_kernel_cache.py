@@ -63,3 +63,17 @@ def test_a_date_ahead_of_the_clock_does_not_empty_the_cache_every_time(tmp_path)
     ahead = time.time() + 1e6
     os.utime(folder / "helper.py", (ahead, ahead))
     assert drop_stale(folder) == 0
+
+
+def test_another_process_may_remove_what_is_looked_at(tmp_path, monkeypatch):
+    cache = tmp_path / "__pycache__"
+    cache.mkdir()
+    (tmp_path / "kernels.py").touch()
+    indices = [cache / f"kernels.f{k}.nbi" for k in range(2)]
+    for index in indices:
+        index.touch()
+        os.utime(index, ns=(1, 1))
+    listed = type(tmp_path).rglob
+    monkeypatch.setattr(type(tmp_path), "rglob", lambda self, pattern: [*listed(self, pattern), cache / "gone.g.nbi"])
+    assert drop_stale(tmp_path) == 2
+    assert not any(index.exists() for index in indices)

@@ -116,8 +116,9 @@ def test_a_head_offset_leaves_the_area_of_a_conical_tank_alone():
             y[k] = x
             for _ in range(20):
                 x = np.maximum(x + 0.1 * conical(0.0, x, u[k:k + 1], true), 0.0)
-        runs.append(Recording(2.0 * np.arange(u.size), u[:, None], y + 0.2 * rng.normal(size=y.shape), ("pump",), ("h",),
-                              {"pump": "V", "h": "cm"}, name=f"r{seed}.csv"))
+        y += 0.2 * rng.normal(size=y.shape)
+        runs.append(Recording(2.0 * np.arange(u.size), u[:, None], y, ("pump",), ("h",), {"pump": "V", "h": "cm"},
+                              name=f"r{seed}.csv"))
     plant = control.nlsys(conical, lambda t, x, u, params: x, inputs=["pump"], outputs=["h"], states=["h"],
                           params={"a": 2.1e-4, "drop": 0.0})
     found = collect(plant, runs[:2], runs[2:], ["a"],

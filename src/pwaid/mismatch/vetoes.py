@@ -11,7 +11,7 @@ from pwaid.mismatch.nullfit import Problem
 __all__ = ["at_bound", "outside", "veto"]
 
 # what recordings may leave open
-_LOOSE = ("stiffness", "contact_frequency", "damping", "phase", "share", "ambient", "dither")
+_LOOSE = ("stiffness", "contact_frequency", "damping", "phase", "share", "shape", "ambient", "dither")
 
 # A stop ends a motion. What gives way by this share of half the travel, this share of the time, is a spring.
 # Unless no more than this share of the error is left: a stop of rubber yields, and no spring does what it does.

@@ -62,14 +62,15 @@ def end_stop(phase, t, h, x, xs, u, p, dx, ii, q):
 
 
 def bouc_wen(phase, t, h, x, xs, u, p, dx, ii, q):
-    """F = force*z, dz/dt = (v - 0.5*(|v|*sign(z) + v)*|z|^order) / yield_displacement, v the relative speed."""
+    """F = force*z, dz/dt = (v - ((1 - shape)*|v|*sign(z) + shape*v)*|z|^order) / yield_displacement, v the relative
+    speed."""
     z = x[ii[0]]
-    push(phase, -q[7] * q[0] * z, ii, u, p, dx)
-    react(phase, -q[8] * q[0] * z, ii, u, p, dx)
+    push(phase, -q[8] * q[0] * z, ii, u, p, dx)
+    react(phase, -q[9] * q[0] * z, ii, u, p, dx)
     if phase == 2:
-        v = q[5] * x[ii[4]] + q[6] * x[ii[6]]
-        power = abs(z) ** q[2]
-        dx[ii[0]] = (v - 0.5 * ((abs(v) if z > 0.0 else -abs(v)) + v) * power) / q[1]
+        v = q[6] * x[ii[4]] + q[7] * x[ii[6]]
+        against = abs(v) if z > 0.0 else -abs(v)
+        dx[ii[0]] = (v - ((1.0 - q[3]) * against + q[3] * v) * abs(z) ** q[2]) / q[1]
 
 
 _LINE = (-30.0, 30.0)
@@ -97,10 +98,12 @@ EFFECTS = (
            lambda s: struts(s, sides=True), ("cubic_stiffness", "sensor_saturation"), "reach and hold the stop",
            between=True),
     Effect("hysteretic_spring", "hysteresis",
-           "F = force*z between two bodies, dz/dt = (v - 0.5*(|v|*sign(z) + v)*|z|^order)/yield_displacement",
+           "F = force*z between two bodies, dz/dt = (v - ((1 - shape)*|v|*sign(z) + shape*v)*|z|^order)"
+           "/yield_displacement",
            (Quantity("force", "force", 1e-3, 30.0, (0.1, 0.4)),
             Quantity("yield_displacement", "position", 0.01, 10.0, (0.1, 0.5)),
-            Quantity("order", "1", 0.7, 3.0, (1.0, 2.0))), bouc_wen, struts,
+            Quantity("order", "1", 0.7, 3.0, (1.0, 2.0)),
+            Quantity("shape", "1", 0.0, 1.0, (0.5,), log=False)), bouc_wen, struts,
            ("presliding_friction", "viscous_friction"), "the same amplitude at two rates: the loop's area stays",
            extra_states=1, memory=True, dissipative=True, between=True),
 )
