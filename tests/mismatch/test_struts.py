@@ -88,6 +88,18 @@ def _placed(simulator, units, name):
     return between, Settings(plant, s.partner, s.ratio, (), np.zeros(0), substeps=20), data
 
 
+@pytest.mark.parametrize("build", [quarter_car, twisted])
+def test_friction_between_two_bodies_resists_their_relative_motion(build):
+    between, settings, data = _placed(build(), SIMULATORS[build], "presliding_friction")
+    located = next(e for e in between if e.place.signal == SIMULATORS[build][2])
+    start = np.resize([0.5, -0.4], (1, settings.plant.sizes[0]))
+    got = Model(settings, (located,)).simulate_with(settings.plant.vector(), [np.array([0.3, 40.0])], start, data)[0]
+    exact = replace(settings, plant=as_plant(build(lambda s, v: 0.3 * np.tanh(v / 0.01))))
+    want = Model(exact, (), 8).simulate_with(exact.plant.vector(), [], start, data)[0]
+    plain = Model(settings, ()).simulate_with(settings.plant.vector(), [], start, data)[0]
+    assert np.sqrt(np.mean((got - want) ** 2)) < 0.12 * np.sqrt(np.mean((plain - want) ** 2))
+
+
 @pytest.mark.parametrize("name", LAWS)
 @pytest.mark.parametrize("build", SIMULATORS)
 def test_a_law_between_two_bodies_is_that_law_in_the_equations(build, name):
@@ -125,12 +137,12 @@ def test_a_gear_scales_a_law_between_motor_and_load():
     np.testing.assert_allclose(got, want, rtol=1e-4, atol=1e-6)
 
 
-def _ride(seed: int) -> Recording:
-    """A quarter car over a road, whose damper is three times as hard in rebound as in compression."""
+def _ride(seed: int, law) -> Recording:
+    """A quarter car over a road, with a law between body and wheel."""
     rng, samples, dt, fine = np.random.default_rng(seed), 1200, 0.02, 20
     t = np.arange(samples) * dt
     u = 0.1 * multisine(rng, t, 2.0)
-    update = quarter_car(lambda s, v: 2.0 * v if v > 0 else 0.0).updfcn
+    update = quarter_car(law).updfcn
     x, y, h = np.zeros(4), np.empty((samples, 2)), dt / fine
     for k in range(samples):
         y[k] = x[:2]
@@ -142,7 +154,7 @@ def _ride(seed: int) -> Recording:
 
 
 def test_a_damper_that_is_harder_in_rebound_is_named_between_body_and_wheel():
-    recordings = [_ride(s) for s in (1, 2, 3)]
+    recordings = [_ride(s, lambda s, v: 2.0 * v if v > 0 else 0.0) for s in (1, 2, 3)]
     report = explain(quarter_car(), recordings[:2], recordings[2:], ["mb"])
     assert report.verdict == "named"
     effect, = report.effects

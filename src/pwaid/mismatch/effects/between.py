@@ -1,10 +1,13 @@
-"""Damping, springs and stops between two bodies: laws of how one moves against the other.
+"""Friction, damping, springs and stops between two bodies: laws of how one moves against the other.
 
 The constants after a law's parameters are the weights of `pwaid.mismatch.struts`: of two positions in the relative
-one, of two speeds in its rate, and of the relative force in the forces on both bodies.
+one, of two speeds in its rate, and of the relative force in the forces on both bodies. Dry friction there is Dahl's,
+whatever its slip: rest of one body against another is no zero of a state.
 """
 
 from __future__ import annotations
+
+from math import exp
 
 from pwaid.mismatch.effects.base import Effect, Quantity, push, react
 from pwaid.mismatch.struts import struts
@@ -33,6 +36,25 @@ def drag(phase, t, h, x, xs, u, p, dx, ii, q):
     force = q[0] * v * abs(v)
     push(phase, -q[5] * force, ii, u, p, dx)
     react(phase, -q[6] * force, ii, u, p, dx)
+
+
+def presliding(phase, t, h, x, xs, u, p, dx, ii, q):
+    """Dahl: F = stiffness * z, dz/dt = v - stiffness*|v|*z/level, exact for the substep's first relative speed."""
+    e = ii[0]
+    if phase == 0:
+        v = q[4] * x[ii[4]] + q[5] * x[ii[6]]
+        b = q[1] * abs(v) * h / q[0]
+        old = x[e]
+        if b < 1e-6:
+            x[e] += v * h
+        else:
+            rest = q[0] / q[1] * (1.0 if v > 0.0 else -1.0)
+            x[e] = rest + (x[e] - rest) * exp(-b)
+        x[e + 1] = 0.5 * (old + x[e])
+    elif phase <= 2:
+        force = q[1] * x[e + 1]
+        push(phase, -q[6] * force, ii, u, p, dx)
+        react(phase, -q[7] * force, ii, u, p, dx)
 
 
 def cubic_spring(phase, t, h, x, xs, u, p, dx, ii, q):
@@ -75,6 +97,13 @@ def bouc_wen(phase, t, h, x, xs, u, p, dx, ii, q):
 
 _LINE = (-30.0, 30.0)
 EFFECTS = (
+    Effect("presliding_friction", "dry_friction",
+           "F = stiffness*z between two bodies, dz/dt = v - stiffness*|v|*z/level",
+           (Quantity("level", "force", 1e-3, 5.0, (0.04, 0.2)),
+            Quantity("stiffness", "force/position", 0.1, 3e3, (3.0, 30.0))), presliding, struts,
+           ("coulomb_friction", "hysteretic_spring"),
+           "small reversals, a few percent of the stroke, around several points", extra_states=2,
+           memory=True, dissipative=True, between=True),
     Effect("viscous_friction", "smooth_damping", "F = coefficient * v between two bodies",
            (Quantity("coefficient", "force/speed", 1e-4, 10.0, (0.04, 0.15, 0.5)),), viscous, struts,
            ("coulomb_friction", "quadratic_drag"), "two speeds, far apart", dissipative=True, between=True),
