@@ -67,8 +67,9 @@ def test_maps_do_not_explain_a_disturbance():
 def test_a_stand_in_for_a_law_left_out_is_refused():
     rubbing = [record(s, level=0.08) for s in (1, 2, 3)]
     spring = effect_by_id("hysteretic_spring")[0]
-    force, yielding, order = spring.quantities
-    spring = replace(spring, quantities=(force, yielding, replace(order, low=1.99, high=2.01, probes=(2.0,))))
+    force, yielding, order, shape = spring.quantities
+    spring = replace(spring, quantities=(force, yielding, replace(order, low=1.99, high=2.01, probes=(2.0,)),
+                                         replace(shape, low=0.49, high=0.51)))
     evidence = collect(oscillator(), rubbing[:2], rubbing[2:], list(TRUE),
                        effects=[spring, *effect_by_id("actuator_deadzone")])
     strict, lenient = (decide(evidence.problem, evidence.null, evidence.singles, (), t)

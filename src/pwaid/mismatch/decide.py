@@ -249,7 +249,7 @@ def _passing_pairs(problem, null, singles, pairs, share, t):
             continue
         parts = [by_label.get(e.label) for e in h.located]
         better = [p for p in parts if p is not None]
-        if any(_gain(problem, p, h) < t.second_share for p in better):
+        if any(_gain(problem, p, h) < t.second_share or not _material(problem, p, h, t) for p in better):
             continue
         found.append(h)
     return found
@@ -262,12 +262,18 @@ def _gain(problem, single: Hypothesis, pair: Hypothesis) -> float:
     return (single.test_error - pair.test_error) / left if left > 0.05 * floor else 0.0
 
 
+def _material(problem, single: Hypothesis, pair: Hypothesis, t) -> bool:
+    """Whether the second law removes as much of some output's error as makes a mismatch count: small other effects are
+    in every machine, and what is less than the noise is not named."""
+    return bool(np.any(over_floor(problem, single.test.Y, t) - over_floor(problem, pair.test.Y, t) > t.material - 1.0))
+
+
 def _better_pair(problem, best, pairs, floor, t):
     """The first pair that leaves much less than the best single law, by a second law that likelihoods see: a slow wave
     of a disturbance, which any law bends to, counts once."""
     for h in pairs:
         left = best.test_error - floor
-        if left > 0.1 * floor and (best.test_error - h.test_error) > t.second_share * left and (
+        if _material(problem, best, h, t) and (best.test_error - h.test_error) > t.second_share * left and (
                 h.train_error < best.train_error) and likelihood_gain(problem, h, best) >= t.evidence:
             return h
     return None

@@ -11,7 +11,8 @@ __all__ = ["Thresholds"]
 class Thresholds:
     """The numbers a verdict depends on."""
 
-    material: float = 2.0  # mean square of the null, relative to the floor's, that counts: as much as noise
+    material: float = 2.0  # mean square of the null, relative to the floor's, that counts: as much as noise;
+    # a second law must remove as much again
     trifle: float = 2e-3  # of an output's standard deviation: an error below it is never a mismatch
     small: float = 0.15  # of an output's standard deviation: a residual below it may be a mere disturbance ...
     predicted: float = 0.15  # ... when past inputs predict less than this share of it
