@@ -27,7 +27,7 @@ from pwaid.mismatch.leftover import leftover
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.predictability import predictability
 from pwaid.mismatch.thresholds import Thresholds
-from pwaid.mismatch.vetoes import veto
+from pwaid.mismatch.vetoes import outside, veto
 
 __all__ = ["TOGETHER", "Decision", "at_floor", "decide", "errors_by_recording", "white_bic"]
 
@@ -130,7 +130,7 @@ def decide(problem: Problem, null: Hypothesis, singles: Sequence[Hypothesis], pa
     if passed_pairs:
         pair = _prefer_smaller(problem, passed_pairs[0], passed_pairs, t)
         return _name(problem, pair, passed_pairs, t, rng, reasons)
-    if _unrelated(problem, t) and not _unjudged(problem, t) and not still_explained(
+    if _unrelated(problem, t) and not _unjudged(problem, t) and not outside(null, t.reach) and not still_explained(
             problem, null, t, leftover(problem, null.fit, null.test)):
         reasons.append("what is left is small and past inputs do not predict it: a disturbance, not physics left out")
         return Decision(_agreement_or_parameters(problem, t), null, (), (), tuple(reasons))

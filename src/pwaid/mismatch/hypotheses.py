@@ -8,17 +8,19 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pwaid.mismatch.dataset import Dataset
-from pwaid.mismatch.fit import Fit, fit_model
+from pwaid.mismatch.fit import Fit, fit_model, fit_starts
 from pwaid.mismatch.model import Located, Model
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.scout import part_of
 from pwaid.mismatch.screen import Screened, other_laws, run_jobs, screen
+from pwaid.mismatch.startscan import best_starts
 
 __all__ = ["Hypothesis", "fit_screened", "fit_shortlist", "floor_square", "hypothesis_of", "inner_laws", "joined",
            "mean_square", "null_hypothesis", "on_whole", "share", "without"]
 
 TORN = 0.3  # times the error on whole recordings: below it, segments fit far better than what they are joined to
 IDLE = 0.1  # share of the error that a second law must remove in a few steps to be fitted at all
+BENT = 2.0  # tolerances by which a parameter of the null moved far
 AT_FLOOR = 1.1  # times the floor's mean square: a fit below it has lost no start state
 
 
@@ -111,8 +113,20 @@ def _trials(problem: Problem, base: Fit, candidate: Screened) -> list[Fit]:
     options = [np.concatenate([before, z]) for z in starts[:2 if candidate.located.size < 2 else 3]]
     far = starts[0], max(starts, key=lambda z: np.linalg.norm(z - starts[0]))
     options += [np.concatenate([np.zeros(n), before[n:], z]) for z in far[:1 if len(starts) < 2 else 2]]
-    trials = [fit_model(model, data, problem.sigma, theta, X0, problem.ranges, 5, 1e-3) for theta in options]
+    trials = [fit_model(model, data, problem.sigma, theta, _begun(problem, model, theta, data, X0), problem.ranges, 5,
+                        1e-3) for theta in options]
     return sorted(trials, key=lambda f: f.cost)
+
+
+def _begun(problem: Problem, model: Model, theta, data: Dataset, X0) -> np.ndarray:
+    """Start states of a trial: those given, or where the null bent a parameter far, in every segment the better of them
+    and of the measured ones: a null that is bent so has put what nothing measures anywhere."""
+    null = problem.null_coarse
+    bent = np.abs(null.theta[:null.model.np]) > BENT * np.log1p(null.model.settings.tolerance)
+    if problem.plant.rhs is None or not np.any(bent):
+        return X0
+    given = fit_starts(model, data, problem.sigma, theta, X0, problem.ranges)
+    return best_starts(problem, given, given, [problem.measured(data)], data).X0
 
 
 def _seen_in_part(problem: Problem, model: Model) -> bool:
@@ -138,8 +152,8 @@ def _finish(problem: Problem, base: Fit, trials: Sequence[Fit], iterations: int 
         distinct = not ends or np.max(np.abs(trial.theta - trials[0].theta)) > 0.05
         if ends and (trial.cost > 3 * trials[0].cost or not distinct):
             break
-        ends.append(fit_model(trial.model, problem.coarse, problem.sigma, trial.theta, base.X0,
-                              problem.ranges, 5, 1e-3))
+        X0 = _begun(problem, trial.model, trial.theta, problem.coarse, base.X0)
+        ends.append(fit_model(trial.model, problem.coarse, problem.sigma, trial.theta, X0, problem.ranges, 5, 1e-3))
     best = problem.rescanned(min(ends, key=lambda f: f.cost))
     model = _resolved(problem, best)
     coarse = fit_model(model, problem.coarse, problem.sigma, best.theta, best.X0, problem.ranges, iterations, 3e-4)
