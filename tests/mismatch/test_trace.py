@@ -69,6 +69,11 @@ def solved(t, x, u, params):
     return acceleration + np.linalg.inv(mass_matrix(x))[0] * np.linalg.det(mass_matrix(x))
 
 
+def summed_exactly(t, x, u, params):
+    loss = math.fsum([params["k"] * x[0], -x[1], *x])
+    return [math.fsum((u[0], -loss)), math.prod([x[0], 2.0, params["b"]]) + math.dist([x[0], x[1]], (0.0, 1.0))]
+
+
 def indexed(t, x, u, params):
     return np.sum(x) * x[[1, 0]] - params["b"] * np.linalg.norm(x) + t
 
@@ -108,7 +113,7 @@ def scaled(t, x, u, params, factor):
 
 
 WRITTEN = {f.__name__: f for f in (merged, from_a_generator, filled_in, with_conditions, with_where, solved, indexed,
-                                   loop)} | {
+                                   summed_exactly, loop)} | {
     "a lambda": lambda t, x, u, params: [x[1], u[0] / params["m"]], "a method": Machine().update,
     "a class method": Machine.rhs, "an object": Machine(m=3.0), "a partial": functools.partial(scaled, factor=2.0)}
 

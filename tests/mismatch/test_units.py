@@ -52,3 +52,13 @@ def test_brackets_powers_and_both_letters_mu():
     assert parse_unit("W/(m^2 K)") == {"W": 1, "m": -2, "K": -1}
     assert parse_unit("kg/(m*s**2)") == {"kg": 1, "m": -1, "s": -2}
     assert parse_unit("m**2") == {"m": 2} and parse_unit("\u03bcm") == parse_unit("\u00b5m")
+
+
+def test_units_of_the_clinic_the_road_and_the_workshop():
+    kinds = {"mmHg": "pressure", "cmH2O": "pressure", "mmH2O": "pressure", "gpm": "flow", "slpm": "flow",
+             "mph": "speed", "km/h": "speed", "kph": "speed", "rps": "angular_speed", "RPM": "speed", "Vrms": "voltage",
+             "degrees/s": "angular_speed", "inch": "length", "°F": "temperature", "ft lbf": "torque", "kcal": "energy"}
+    assert {unit: unit_kind(unit) for unit in kinds} == kinds
+    assert parse_unit("mmHg s/mL") == {"mmHg": 1, "s": 1, "mL": -1}
+    assert scaled_unit("mmHg", 1 / 133.322) == {"Pa": 1}
+    assert scaled_unit("mph", 1 / 0.44704) == {"m": 1, "s": -1}

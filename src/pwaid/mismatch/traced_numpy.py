@@ -11,6 +11,7 @@ import functools
 import inspect
 import itertools
 import math
+import operator
 import sysconfig
 import threading
 import types
@@ -199,6 +200,18 @@ def _extreme(name: str, original: Callable) -> Callable:
     return either
 
 
+def _over(original: Callable, symbolic: Callable) -> Callable:
+    """A function of sequences, done by `symbolic` where they hold symbols."""
+
+    def either(*sequences, **options):
+        kept = [tuple(v) for v in sequences]
+        if not options and any(is_symbolic(v) for v in kept):
+            return symbolic(*kept)
+        return original(*kept, **options)
+
+    return either
+
+
 def _linear(make: Callable) -> Callable:
     """A maker of linear systems that gives symbolic matrices as they are, with A, B, C, D as its names."""
 
@@ -241,6 +254,8 @@ _MINE = _names(np) | {"where": _where, "select": _first_that_holds, "clip": _cli
 _MATH = _names(math) | {name: _function(real, getattr(math, name)) for name, real in (
     ("asin", "arcsin"), ("acos", "arccos"), ("atan", "arctan"), ("atan2", "arctan2"), ("asinh", "arcsinh"),
     ("acosh", "arccosh"), ("atanh", "arctanh"), ("pow", "power"))}
+_MATH |= {"fsum": _over(math.fsum, sum), "prod": _over(math.prod, lambda v: functools.reduce(operator.mul, v)),
+          "dist": _over(math.dist, lambda p, q: apply("sqrt", sum((a - b) ** 2 for a, b in zip(p, q, strict=True))))}
 _BUILTINS = {"max": _extreme("larger", max), "min": _extreme("smaller", min), "float": _Float}
 
 

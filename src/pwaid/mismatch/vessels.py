@@ -12,7 +12,8 @@ from pwaid.mismatch.structure import Structure
 __all__ = ["cascades", "outlets", "sloped_outlets", "stores"]
 
 STEP = 1e-4  # relative change of a parameter
-ZEROS = {"degC": 273.15, "°C": 273.15, "C": 273.15, "degF": 459.67}  # what makes a temperature in it absolute
+# what makes a temperature in it absolute
+ZEROS = {"degC": 273.15, "°C": 273.15, "C": 273.15, "degF": 459.67, "°F": 459.67}
 
 
 def stores(s: Structure, kind: str) -> list[Place]:
