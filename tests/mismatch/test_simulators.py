@@ -111,3 +111,17 @@ def test_whole_numbers_that_count_something_are_kept():
 
     plant = with_arguments(as_plant(build()), build, ["k"])
     assert dict(plant.parameters) == {"k": 3.0} and plant.sizes == (2, 1, 1)
+
+
+def test_the_sampling_time_that_build_takes_is_no_parameter():
+    def build(k=2.0, dt=DT):
+        def update(t, x, u, params):
+            level, h = float(x[0]), dt / 2
+            for _ in range(2):
+                level += h * (u[0] - k * level)
+            return [level]
+
+        return control.nlsys(update, lambda t, x, u, params: x, inputs=["u"], outputs=["x"], states=["x"], dt=dt)
+
+    plant = with_arguments(as_plant(build()), build, ["k"])
+    assert dict(plant.parameters) == {"k": 2.0} and plant.rhs is not None

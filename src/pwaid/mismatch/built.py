@@ -30,6 +30,8 @@ def with_arguments(plant: Plant, build: Callable, free: Sequence[str] | None) ->
     simulator is linear and its own parameters are matrix entries. Otherwise the plant as it came.
     """
     arguments = _numbers(build)
+    if plant.dt:  # what the sampling time is given by stays as it is
+        arguments = {n: v for n, v in arguments.items() if v != plant.dt or n in (free or ())}
     unknown = [n for n in free or () if n not in plant.parameters]
     meant = any(n in arguments for n in unknown) if free is not None else bool(plant.linear and arguments)
     if not meant or plant.black_box is not None:
