@@ -9,7 +9,7 @@ import numpy as np
 from pwaid.mismatch.effects.base import Place
 from pwaid.mismatch.structure import Structure
 
-__all__ = ["cascades", "outlets", "sloped_outlets", "stores"]
+__all__ = ["cascades", "neighbours", "outlets", "sloped_outlets", "stores"]
 
 STEP = 1e-4  # relative change of a parameter
 # what makes a temperature in it absolute
@@ -50,6 +50,16 @@ def cascades(s: Structure, kind: str) -> list[Place]:
         places.append(s.place("state", names[0], names, ii, x=i,
                               levels={"position": (0.0, s.reach(i)), "second": (0.0, s.reach(j))},
                               units={"second": s.state_units[j]}))
+    return places
+
+
+def neighbours(s: Structure) -> list[Place]:
+    """Two fluid stores in one unit, between which a gap may leak."""
+    places = []
+    for i, j in itertools.combinations(_members(s, "fluid"), 2):
+        if s.state_units[i] == s.state_units[j]:
+            names = [s.plant.state_names[i], s.plant.state_names[j]]
+            places.append(s.place("state", "-".join(names), names, [0, 1, i, -1, i, -1, j, -1, -1, -1, 0, 0], x=i))
     return places
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import sqrt
 
 from pwaid.mismatch.effects.base import Effect, Quantity
-from pwaid.mismatch.vessels import cascades, outlets, sloped_outlets, stores
+from pwaid.mismatch.vessels import cascades, neighbours, outlets, sloped_outlets, stores
 
 __all__ = ["EFFECTS"]
 
@@ -67,6 +67,14 @@ def leak(phase, t, h, x, xs, u, p, dx, ii, q):
     """dx/dt = ... - coefficient*x."""
     if phase == 2:
         dx[ii[2]] -= q[0] * x[ii[4]]
+
+
+def leak_between(phase, t, h, x, xs, u, p, dx, ii, q):
+    """dx1/dt = ... - coefficient*(x1 - x2), dx2/dt = ... + second_coefficient*(x1 - x2)."""
+    if phase == 2:
+        d = x[ii[4]] - x[ii[6]]
+        dx[ii[4]] -= q[0] * d
+        dx[ii[6]] += q[1] * d
 
 
 def overflow(phase, t, h, x, xs, u, p, dx, ii, q):
@@ -139,6 +147,10 @@ EFFECTS = (
     Effect("leakage", "fluid", "dx/dt = ... - coefficient*x",
            (Quantity("coefficient", "1/time", 1e-4, 10.0, (0.03, 0.15, 0.5)),), leak,
            lambda s: stores(s, "fluid"),
+           ("head_offset", "square_root_outflow"), "close everything and wait", dissipative=True),
+    Effect("leakage", "fluid", "dx1/dt = ... - coefficient*(x1 - x2), dx2/dt = ... + second_coefficient*(x1 - x2)",
+           (Quantity("coefficient", "1/time", 1e-4, 10.0, (0.03, 0.2)),
+            Quantity("second_coefficient", "1/time", 1e-4, 10.0, (0.03, 0.2))), leak_between, neighbours,
            ("head_offset", "square_root_outflow"), "close everything and wait", dissipative=True),
     Effect("overflow", "fluid", "dh/dt <= 0 at the brim; a share enters the next store",
            (_LEVEL, Quantity("share", "1", 0.0, 1.0, (0.05, 0.4), log=False)), overflow,
