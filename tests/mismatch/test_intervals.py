@@ -35,7 +35,7 @@ def refitted(problem, truth, seed, hidden):
     """The Coulomb law fitted to what `truth` simulates with the hidden effects inside, noise added."""
     rng = np.random.default_rng(seed)
     law, theta = truth.model.located[0], truth.theta
-    small = tuple(Located(e, e.places(problem.structure)[0]) for name in hidden for e in effect_by_id(name))
+    small = tuple(Located(e, e.places(problem.structure)[0]) for name in hidden for e in effect_by_id(name)[:1])
     model = Model(problem.settings, (law, *small), truth.model.substeps)
     signs = (rng.choice([-1.0, 1.0]), 1.0)  # drag only brakes; its size lies on a logarithmic axis
     sizes = [s.internal([sign * 0.02 * rng.uniform(0.4, 1.0)]) for s, sign in zip(small, signs, strict=False)]

@@ -108,7 +108,7 @@ def _alone(data: Dataset, U: np.ndarray, ny: int) -> Dataset:
 
 def _start(pair) -> np.ndarray:
     """The start state both predictions share: where the first recording began."""
-    return pair[0].fit.X0[:1].copy()
+    return pair[0].fit.X0[:1, :pair[0].fit.model.nx].copy()
 
 
 def _inside(problem: Problem, Y) -> bool:
@@ -142,7 +142,7 @@ def plan_experiment(problem: Problem, pair: tuple[Hypothesis, Hypothesis], units
                           tuple((p.words, d) for d, p, _ in tried[1:4]), _clock(best, train), *Y)
     finals = []
     short, rows = window(problem, pair)
-    starts = np.vstack([pair[1].fit.X0[:len(short.segments)], _start(pair)])
+    starts = np.vstack([pair[1].fit.X0[:len(short.segments)], pair[1].fit.model.opened(_start(pair))])
     for _, p, (first, _) in tried[:FINALISTS]:
         second = Refitter(pair[1], _combined(short, p.U, ny), starts, noise, problem.ranges, known=1)
         predicted = second.refit(np.vstack([pair[0].fit.Y[rows], first]))[len(rows):]

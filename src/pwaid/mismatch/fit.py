@@ -72,6 +72,7 @@ def _steps(model: Model, theta):
 def jacobian(model: Model, theta, X0, data: Dataset, sigma, Y, ranges, want_states: bool = True,
              bounds=None, wide: float = 1.0) -> Jacobian:
     """Forward differences around (theta, X0); `ranges` (nx,) are the states' magnitudes, `wide` scales the steps."""
+    X0, ranges = model.opened(X0), model.start_ranges(ranges)
     n, nx = data.Y.size, X0.shape[1]
     G, S, asked = np.empty((n, model.size)), np.zeros((n, nx)), []
     steps = wide * _steps(model, theta)
@@ -139,7 +140,7 @@ def fit_model(model: Model, data: Dataset, sigma, theta, X0, ranges, iterations:
     ----------
     sigma : (ny,) residual weights, in the outputs' units.
     theta : (model.size,) start of the global parameters.
-    X0 : (n_segments, nx) start states.
+    X0 : (n_segments, nx) start states; more columns where an effect hides a store (see `Model.opened`).
     ranges : (nx,) magnitudes of the states, for scaling and difference steps.
     hold_globals : fit the start states only, as for held-out recordings.
     """
@@ -147,7 +148,7 @@ def fit_model(model: Model, data: Dataset, sigma, theta, X0, ranges, iterations:
     low, high = model.bounds(data.sample_time)
     prior = np.concatenate([1 / np.log1p(model.settings.tolerance), np.zeros(model.nz)])
     theta = np.clip(np.asarray(theta, dtype=float), low, high)
-    X0 = np.array(X0, dtype=float)
+    X0, ranges = model.opened(X0), model.start_ranges(ranges)
     Y, X = model.simulate(theta, X0, data)
     r = weighted(Y, data, sigma)
     cost = r @ r + np.sum((prior * theta) ** 2)
@@ -198,7 +199,7 @@ class _Frozen:
 
     def __init__(self, model, theta):
         self._model, self._theta, self.located, self.np = model, theta, (), 0
-        self.size = 0
+        self.size, self.opened, self.start_ranges = 0, model.opened, model.start_ranges
 
     def simulate(self, _, X0, data):
         return self._model.simulate(self._theta, X0, data)

@@ -151,6 +151,8 @@ class Model:
             offset += e.effect.extra_states
             rows.append(ii)
         self.II = np.array(rows + [[0] * 12] * (3 - len(rows)), dtype=np.int64)
+        self.stores = [(int(self.II[k, 0]), int(self.II[k, 4])) for k, e in enumerate(self.acting)
+                       if e.effect.start == "stored"]
         self.chained = len(rows) > 1 and min(rows[0][8], rows[1][8]) >= 0
         self.width = max([len(e.effect.quantities) + len(e.place.constants) for e in self.acting] + [1])
         self.proximal = np.array([int(e.effect.proximal) for e in self.acting] + [0] * (3 - len(self.acting)))
@@ -213,6 +215,18 @@ class Model:
                 delay[e.place.ii[8]] += values[0]
         return Q, delay
 
+    def opened(self, X0) -> np.ndarray:
+        """Start states (n_segments, nx + hidden stores): of a hidden store, unless they hold it, that of the plant's
+        store which it hangs on."""
+        X0 = np.asarray(X0, dtype=float)
+        if X0.shape[1] == self.nx + len(self.stores):
+            return X0
+        return np.column_stack([X0[:, :self.nx], *(X0[:, i] for _, i in self.stores)])
+
+    def start_ranges(self, ranges) -> np.ndarray:
+        """Magnitudes of the start states, those of hidden stores behind the plant's (nx,)."""
+        return np.concatenate([ranges[:self.nx], [ranges[i] for _, i in self.stores]])
+
     def start(self, X0, U, segments) -> np.ndarray:
         """(n_segments, nx + extra) start states, the effects' memory included.
 
@@ -220,14 +234,14 @@ class Model:
         before.
         """
         start = np.zeros((len(X0), self.nx + self.extra))
-        start[:, :self.nx] = X0
+        X0 = self.opened(X0)
+        start[:, :self.nx] = X0[:, :self.nx]
+        start[:, [o for o, _ in self.stores]] = X0[:, self.nx:]
         for k, e in enumerate(self.acting):
             o = self.II[k, 0]
             if e.effect.start == "input":
                 first = np.where(_onward(segments), np.nan, U[segments[:, 0], self.II[k, 8]])
                 start[:, o:o + e.effect.extra_states] = first[:, None]
-            elif e.effect.start == "stored":
-                start[:, o] = X0[:, self.II[k, 4]]
         return start
 
     def run(self, p, Q, delay, start, segments, U, sample_time: float, X, Y) -> None:

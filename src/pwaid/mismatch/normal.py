@@ -52,7 +52,7 @@ def normal_equations(problem: Problem, fit: Fit) -> NormalEquations:
                     wide=-WIDE)
     blocks = []
     for rows in output_rows(data):
-        S = up.S[rows] * problem.ranges
+        S = up.S[rows] * model.start_ranges(problem.ranges)
         blocks.append((rows, S, S.T @ S + 1e-9 * np.eye(S.shape[1]) * (np.trace(S.T @ S) + 1e-12)))
     G = _without_starts(blocks, 0.5 * (up.G + down.G))
     r = _without_starts(blocks, weighted(fit.Y, data, problem.sigma))

@@ -95,7 +95,7 @@ class Problem:
         simulations are slow."""
         if self.plant.rhs is None:
             return fit
-        options = [self.null.X0] if self.null.X0.shape == fit.X0.shape else []
+        options = [self.null.X0] if len(self.null.X0) == len(fit.X0) else []
         options.append(self.measured(self.train))
         options += scans(self, fit, fit.X0, self.train)
         return self._opened(best_starts(self, fit, fit, options, self.train), self.train)

@@ -38,8 +38,8 @@ def times_noise(a, b, noise) -> float:
 class Refitter:
     """A hypothesis with its simulation and Jacobian over `data`, ready to be refitted to other outputs.
 
-    `X0` (n_segments, nx): start states over `data`. `noise` (ny,): weights. `known`: how many of the last segments
-    start from states that are known, and not refitted.
+    `X0` (n_segments, nx): start states over `data`, `ranges` (nx,) their magnitudes. `noise` (ny,): weights.
+    `known`: how many of the last segments start from states that are known, and not refitted.
     """
 
     hypothesis: Hypothesis
@@ -51,6 +51,7 @@ class Refitter:
 
     def __post_init__(self):
         self.model, self.theta = self.hypothesis.fit.model, self.hypothesis.fit.theta
+        self.X0, self.ranges = self.model.opened(self.X0), self.model.start_ranges(self.ranges)
         self.Y = self.model.simulate(self.theta, self.X0, self.data)[0]
         self.bounds = self.model.bounds(self.data.sample_time)
         self.J: Jacobian = jacobian(self.model, self.theta, self.X0, self.data, self.noise, self.Y, self.ranges,

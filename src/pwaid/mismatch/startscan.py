@@ -52,7 +52,7 @@ def _alike(problem, Y, other) -> bool:
 def scans(problem, fit: Fit, X0, data: Dataset) -> list[np.ndarray]:
     """Start states (segments, nx) at the deepest valleys of a scan along each direction that its laws see and the null
     does not."""
-    found, s = [], problem.structure
+    found, s, X0 = [], problem.structure, X0[:, :fit.model.nx]
 
     def moved(values, i, d):
         trials = X0 + (values[:, None] - X0[:, i])[:, :, None] * d
