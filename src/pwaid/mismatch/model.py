@@ -151,8 +151,8 @@ class Model:
             offset += e.effect.extra_states
             rows.append(ii)
         self.II = np.array(rows + [[0] * 12] * (3 - len(rows)), dtype=np.int64)
-        self.stores = [(int(self.II[k, 0]), int(self.II[k, 4])) for k, e in enumerate(self.acting)
-                       if e.effect.start == "stored"]
+        self.stores = [(int(self.II[k, 0]), int(self.II[k, 4]) if e.effect.start == "stored" else -1)
+                       for k, e in enumerate(self.acting) if e.effect.start in ("stored", "free")]
         self.chained = len(rows) > 1 and min(rows[0][8], rows[1][8]) >= 0
         self.width = max([len(e.effect.quantities) + len(e.place.constants) for e in self.acting] + [1])
         self.proximal = np.array([int(e.effect.proximal) for e in self.acting] + [0] * (3 - len(self.acting)))
@@ -216,16 +216,16 @@ class Model:
         return Q, delay
 
     def opened(self, X0) -> np.ndarray:
-        """Start states (n_segments, nx + hidden stores): of a hidden store, unless they hold it, that of the plant's
-        store which it hangs on."""
+        """Start states (n_segments, nx + hidden ones): of a hidden store, unless they hold it, that of the plant's
+        store which it hangs on; of a hidden strain, none."""
         X0 = np.asarray(X0, dtype=float)
         if X0.shape[1] == self.nx + len(self.stores):
             return X0
-        return np.column_stack([X0[:, :self.nx], *(X0[:, i] for _, i in self.stores)])
+        return np.column_stack([X0[:, :self.nx], *(X0[:, i] if i >= 0 else np.zeros(len(X0)) for _, i in self.stores)])
 
     def start_ranges(self, ranges) -> np.ndarray:
-        """Magnitudes of the start states, those of hidden stores behind the plant's (nx,)."""
-        return np.concatenate([ranges[:self.nx], [ranges[i] for _, i in self.stores]])
+        """Magnitudes of the start states, those of hidden ones behind the plant's (nx,); a strain yields at one."""
+        return np.concatenate([ranges[:self.nx], [ranges[i] if i >= 0 else 1.0 for _, i in self.stores]])
 
     def start(self, X0, U, segments) -> np.ndarray:
         """(n_segments, nx + extra) start states, the effects' memory included.

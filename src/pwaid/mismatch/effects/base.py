@@ -134,6 +134,8 @@ class Effect:
     """One piece of physics that a simulator may have left out.
 
     `reshapes`: it changes what forces accelerate, so it acts after them and has a phase 6 for mobility columns.
+    `start`: of its extra states: "zero"; "input", what the input has been; its first one like the store it hangs on, or
+    zero, and fitted in every segment: "stored", "free".
     `between`: it acts between two bodies, and depends on how one moves against the other.
     """
 

@@ -134,5 +134,5 @@ EFFECTS = (
             Quantity("order", "1", 0.7, 3.0, (1.0, 2.0)),
             Quantity("shape", "1", 0.0, 1.0, (0.5,), log=False)), bouc_wen, struts,
            ("presliding_friction", "viscous_friction"), "the same amplitude at two rates: the loop's area stays",
-           extra_states=1, memory=True, dissipative=True, between=True),
+           extra_states=1, memory=True, dissipative=True, between=True, start="free"),
 )

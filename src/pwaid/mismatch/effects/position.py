@@ -100,5 +100,5 @@ EFFECTS = (
             Quantity("shape", "1", 0.0, 1.0, (0.5,), log=False)), bouc_wen,
            lambda s: s.positions(), ("presliding_friction", "viscous_friction"),
            "the same amplitude at two rates: the loop's area stays", extra_states=1, memory=True,
-           dissipative=True),
+           dissipative=True, start="free"),
 )
