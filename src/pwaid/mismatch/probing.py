@@ -20,6 +20,7 @@ from pwaid.mismatch.units import KNOWN, combine, factor_of, parse_unit, scaled_u
 __all__ = ["find_structure"]
 
 VISITED = 500  # states kept
+STEPPED = 5e-3  # of the largest rate: what a step of a discrete simulator adds to a relation of its equations
 _SPEEDS = ("speed", "angular_speed")
 _NO_MOTION = ("current", "voltage", "charge", "temperature", "force", "torque", "pressure", "flow", "acceleration")
 _NAMES = {
@@ -165,10 +166,14 @@ def _kinematics(plant, points, low, high):
         for j in range(nx):
             if i == j or np.ptp(Xs[:, j]) == 0:
                 continue
-            c = F[:, i] @ Xs[:, j] / max(Xs[:, j] @ Xs[:, j], 1e-300)
-            if c != 0 and np.allclose(F[:, i], c * Xs[:, j], rtol=1e-9, atol=1e-12 * np.max(np.abs(F[:, i]))):
-                # a store emptying into the next is not a speed: the other way round must not hold a loss only
-                partner[i], ratio[i] = j, c
+            # over a step of a discrete simulator the speed is its mean, or its next value
+            seen = [(Xs[:, j] + share * plant.dt * F[:, j], STEPPED) for share in (0.5, 1.0) if plant.dt]
+            for speed, trifle in [(Xs[:, j], 1e-12), *seen]:
+                c = F[:, i] @ speed / max(speed @ speed, 1e-300)
+                if partner[i] < 0 and c != 0 and np.allclose(F[:, i], c * speed, rtol=1e-9,
+                                                             atol=trifle * np.max(np.abs(F[:, i]))):
+                    # a store emptying into the next is not a speed: the other way round must not hold a loss only
+                    partner[i], ratio[i] = j, c
     for i in range(nx):  # a chain position -> speed -> acceleration keeps only its first link
         if partner[i] >= 0 and partner[partner[i]] >= 0:
             partner[partner[i]] = -1
@@ -380,8 +385,9 @@ def _force_entries(plant, kinds, points, low, high, rms_u, input_units, units):
     for i, kind in enumerate(kinds):
         if kind != "velocity":
             continue
+        trifle = STEPPED * np.max(np.abs(base[:, i])) if plant.dt else 1e-14
         inertia = [k for k, h in halves.items()
-                   if np.any(base[:, i]) and np.allclose(2 * h[:, i], base[:, i], rtol=1e-9, atol=1e-14)]
+                   if np.any(base[:, i]) and np.allclose(2 * h[:, i], base[:, i], rtol=1e-9, atol=trifle)]
         forces = [j for j in range(nu) if unit_kind(input_units[j]) in ("force", "torque") and gain[i, j] != 0
                   and affine[i, j] and driven[i, j] >= 0] or [j for j in range(nu) if driven[i, j] > 0 and affine[i, j]]
         angular = any(KNOWN[s] == "angle" for s in units[i])

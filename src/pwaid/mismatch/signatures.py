@@ -15,8 +15,11 @@ from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.fit import Fit, jacobian, output_rows
 from pwaid.mismatch.model import LIMIT, Located, Model
 from pwaid.mismatch.nullfit import Problem
+from pwaid.mismatch.units import KNOWN, factor_of
 
 __all__ = ["Projector", "Signature", "Signatures", "StartsOut", "lattice", "mirrored", "one_signed"]
+
+TEETH = 48  # periods of a ripple per turn
 
 
 @dataclass(frozen=True)
@@ -157,7 +160,8 @@ def _probe_grid(located: Located, problem: Problem, residual) -> list[np.ndarray
     for q in effect.quantities:
         values = q.probes
         if effect.id == "position_ripple" and q.name == "wavenumber":
-            values = tuple(np.arange(3.0, _finest(located, problem, residual), 1.2))
+            finest = _finest(located, problem, residual)
+            values = (*np.arange(3.0, finest, 1.2), *_per_turn(located, problem.structure, finest))
         elif effect.id == "periodic_disturbance" and q.name == "angular_frequency":
             values = tuple(w / located.scales[0] for w in _peaks(residual, problem.coarse, located))
         elif effect.id == "sensor_quantization":
@@ -179,6 +183,15 @@ def _finest(located: Located, problem: Problem, residual, usual: float = 50.0, m
         return usual
     error = float(np.sqrt(np.mean(residual[:, k] ** 2))) / abs(shown.gain[k])
     return float(np.clip(4.0 * located.place.scales["position"] / max(error, 1e-300), usual, most))
+
+
+def _per_turn(located: Located, structure, finest: float) -> np.ndarray:
+    """Whole numbers of periods per turn, beyond the largest wavenumber tried, of an axis that turns on and on."""
+    unit = structure.state_units[located.place.ii[5]]
+    radian = next((factor_of(symbol) for symbol in unit if KNOWN[symbol] == "angle"), 0.0)
+    reach = radian * located.place.scales["position"]
+    found = reach * np.arange(1, TEETH + 1)
+    return found[found > finest] if reach > 2 * np.pi else found[:0]
 
 
 def lattice(y) -> float:

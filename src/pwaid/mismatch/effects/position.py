@@ -82,7 +82,7 @@ EFFECTS = (
            "one slow turn, stopping at several angles"),
     Effect("position_ripple", "position", "F = level * sin(wavenumber*x + phase)",
            (Quantity("level", "force", 1e-3, 10.0, (0.15,)),
-            Quantity("wavenumber", "1/position", 3.0, 400.0, ()),  # a period within the stroke, else it is a spring
+            Quantity("wavenumber", "1/position", 3.0, 4e4, ()),  # a period within the stroke, else it is a spring
             Quantity("phase", "1", -7.0, 7.0, (0.0, 1.571), log=False)), ripple, lambda s: s.positions(),
            ("periodic_disturbance", "gravity_torque"),
            "two constant speeds: the frequency follows the speed", contains=("gravity_torque",)),
