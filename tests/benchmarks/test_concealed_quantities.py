@@ -175,7 +175,7 @@ def test_the_bouc_wen_variable_is_scaled_by_its_yield(order):
         x[1], x[2 + vector.BOUC] = v, z * slots["bouc_yield"]
         true = truth_rates(plant, p, e, x)
         law = catalogue_force(position.bouc_wen, [0.0, v, z], [2, 1, 1, -1, 1, 0, *II[6:]],
-                              [q["force"], q["yield_displacement"], order])
+                              [q["force"], q["yield_displacement"], order, 0.5])
         assert true[2 + vector.BOUC] == pytest.approx(law[2] * slots["bouc_yield"], rel=1e-9)
         assert true[1] * p[0] + p[1] * v == pytest.approx(law[1], rel=1e-9)
 

@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from tests_support import multisine, record
 
-from pwaid.mismatch import explain
 from pwaid.mismatch.dataset import Dataset
+from pwaid.mismatch.decide import decide
 from pwaid.mismatch.effects.registry import effect_by_id
+from pwaid.mismatch.explain import collect
 from pwaid.mismatch.model import Model, Settings
 from pwaid.mismatch.plant import as_plant
 from pwaid.mismatch.probing import find_structure
@@ -155,11 +156,11 @@ def _ride(seed: int, law) -> Recording:
 
 def test_a_damper_that_is_harder_in_rebound_is_named_between_body_and_wheel():
     recordings = [_ride(s, lambda s, v: 2.0 * v if v > 0 else 0.0) for s in (1, 2, 3)]
-    report = explain(quarter_car(), recordings[:2], recordings[2:], ["mb"])
-    assert report.verdict == "named"
-    effect, = report.effects
-    assert effect["id"] == "asymmetric_viscous_friction"
-    assert effect["where"]["signal"] in ("zb-zw", "zw-zb")
-    levels = sorted(effect["parameters"][k]["value"] for k in ("coefficient_positive", "coefficient_negative"))
-    np.testing.assert_allclose(levels[1], 2.0, rtol=0.05)
-    assert levels[0] < 0.1
+    ids = ("asymmetric_viscous_friction", "viscous_friction", "quadratic_drag", "coulomb_friction", "cubic_stiffness")
+    evidence = collect(quarter_car(), recordings[:2], recordings[2:], ["mb"],
+                       effects=[e for i in ids for e in effect_by_id(i)])
+    decision = decide(evidence.problem, evidence.null, evidence.singles, evidence.pairs)
+    assert (decision.verdict, decision.chosen.ids) == ("named", ("asymmetric_viscous_friction",))
+    assert decision.chosen.located[0].place.signal in ("zb-zw", "zw-zb")
+    soft, hard = sorted(decision.chosen.values()[0])
+    assert hard == pytest.approx(2.0, rel=0.05) and soft < 0.1
