@@ -9,7 +9,7 @@ import pytest
 from tests_support import gathered, oscillator, pushed, record
 
 from pwaid.mismatch import Thresholds
-from pwaid.mismatch.decide import decide
+from pwaid.mismatch.decide import _material, decide
 from pwaid.mismatch.effects.registry import effect_by_id
 from pwaid.mismatch.explain import collect
 from pwaid.mismatch.vetoes import at_bound, veto
@@ -99,3 +99,13 @@ def test_a_size_that_vanishes_beside_another_is_not_at_a_bound():
 
     assert moved("excess", low) == [] and moved("excess", high) == ["excess"]
     assert moved("stribeck_speed", low) == ["stribeck_speed"]
+
+
+def test_what_a_second_law_removes_must_be_as_much_as_the_noise():
+    evidence = gathered([record(s, level=0.4) for s in (1, 2, 3)], "coulomb_friction")
+    problem, best = evidence.problem, evidence.singles[0]
+    rest = problem.test.Y - best.test.Y
+    closer = replace(best, test=replace(best.test, Y=best.test.Y + 0.3 * rest))  # half of the noise's mean square
+    farther = replace(best, test=replace(best.test, Y=best.test.Y - 0.5 * rest))  # 1.25 times that more
+    assert not _material(problem, best, closer, Thresholds())
+    assert _material(problem, farther, best, Thresholds()) and _material(problem, evidence.null, best, Thresholds())
