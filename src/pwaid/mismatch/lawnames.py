@@ -62,7 +62,7 @@ def _find(kernel: Callable, todo: list[str], found: dict[str, str]) -> None:
         elif inspect.isfunction(helper):
             text = _undecorated(helper)
             found[name] = text
-            todo += _outside(text)
+            _find(helper, _outside(text), found)  # its names are those of its own module
         else:
             raise InputError(f"the law {kernel.__name__} uses {name!r} of its module, which the repaired simulator "
                              "cannot hold; use functions of math and numpy, numbers, and functions of your own")

@@ -16,7 +16,10 @@ from pwaid.mismatch.inertia import shown_inertia
 from pwaid.mismatch.plant import Plant
 from pwaid.mismatch.units import KNOWN, factor_of, parse_unit
 
-__all__ = ["OutputMap", "Structure", "drawn_point", "on_line", "two_terms", "weights_of"]
+__all__ = ["SIDES", "OutputMap", "Structure", "drawn_point", "on_line", "side_span", "two_terms", "weights_of"]
+
+
+SIDES = ("both sides", "upper", "lower")  # of a range: 0, 1 and -1
 
 
 def on_line(x, y) -> tuple[float, float] | None:
@@ -46,6 +49,11 @@ def two_terms(columns, rate) -> tuple[np.ndarray, np.ndarray] | None:
     size = np.max(np.abs(weights * columns), axis=0)
     pair = np.flatnonzero(size > 1e-9 * np.max(size))
     return (pair, weights[pair]) if len(pair) == 2 else None
+
+
+def side_span(side: int, low: float, high: float) -> tuple[float, float]:
+    """Origin and span of the levels of a limit on a range: on both sides of zero (0), above (1) or below (-1)."""
+    return {0: (0.0, float(max(abs(low), abs(high), 1e-12))), 1: (low, high - low), -1: (high, low - high)}[side]
 
 
 def drawn_point(rng, states, input_rms, inputs) -> tuple[np.ndarray, np.ndarray]:
@@ -191,13 +199,11 @@ class Structure:
             for side in ((0, 1, -1) if sides else (0,)):
                 ii = self.force_ii(v)
                 ii[10] = side
-                span = {0: (0.0, self.reach(x)), 1: (self.low[x], self.high[x] - self.low[x]),
-                        -1: (self.high[x], self.low[x] - self.high[x])}[side]
+                span = side_span(side, self.low[x], self.high[x])
                 name = self.plant.state_names[x]
                 places.append(self.place("state", self.plant.state_names[v], [name], ii, v=v, x=x,
                                          levels={"position": span},
-                                         note=("both sides", "upper", "lower")[side]
-                                         if sides else ""))
+                                         note=SIDES[side] if sides else ""))
         return places
 
     def angles(self) -> list[Place]:
@@ -317,13 +323,11 @@ class Structure:
                 continue
             options = [(variant, (0.0, max(abs(lo), abs(hi), 1e-12)))]
             if sides:
-                options = [(1, (lo, hi - lo)), (-1, (hi, lo - hi))]
-                if lo < 0 < hi:
-                    options.insert(0, (0, (0.0, max(-lo, hi))))
+                options = [(side, side_span(side, lo, hi)) for side in ((0, 1, -1) if lo < 0 < hi else (1, -1))]
             for side, span in options:
                 ii = [0, 0, 0, -1, -1, -1, -1, k, -1, -1, side, 0]
                 places.append(self.place("output", name, [name], ii, k=k, levels={"output": span},
-                                         note=("both sides", "upper", "lower")[side] if sides else ""))
+                                         note=SIDES[side] if sides else ""))
         return places
 
     def drifting_parameters(self) -> list[Place]:

@@ -8,7 +8,7 @@ import numpy as np
 
 from pwaid.mismatch.effects.base import Place
 from pwaid.mismatch.shafts import coupled, twisted_by
-from pwaid.mismatch.structure import Structure
+from pwaid.mismatch.structure import SIDES, Structure, side_span
 
 __all__ = ["struts"]
 
@@ -39,16 +39,15 @@ def struts(s: Structure, sides: bool = False) -> list[Place]:
         reach, speed = (max(float(np.max(np.abs(v))), 1e-12) for v in (z, rate))
         mode, target, inertia = s.entry[joint.b]
         names = [s.plant.state_names[i] for i in dict.fromkeys(joint.positions)]
+        low, high = float(z.min()), float(z.max())
         for side in (0, 1, -1) if sides else (0,):
             ii = s.force_ii(joint.a)
             ii[5], ii[9], ii[6], ii[7], ii[8], ii[10], ii[11] = *joint.positions, joint.b, mode, target, side, inertia
-            low, high = float(z.min()), float(z.max())
-            span = {0: (0.0, reach), 1: (low, high - low), -1: (high, low - high)}[side]
             places.append(s.place(
                 "state", "-".join(names), names, ii, v=joint.a, x=joint.positions[0],
-                scales={"position": reach, "speed": speed}, levels={"position": span},
+                scales={"position": reach, "speed": speed}, levels={"position": side_span(side, low, high)},
                 constants=(*joint.weights, *joint.rates, *joint.forces),
-                note=("both sides", "upper", "lower")[side] if sides else ""))
+                note=SIDES[side] if sides else ""))
     return places
 
 

@@ -76,11 +76,11 @@ def veto(problem: Problem, h: Hypothesis) -> str:
             return "the recording goes beyond the limit that is said to clip it"
         if e.effect.id == "sensor_saturation" and not _clips(problem, h, e, values[0]):
             return "the limit lies outside the visited range"
-        if e.effect.id == "end_stop" and not np.any(_depths(h, e, values[1]) > 0.0):
-            return "the stop lies outside the travelled range"
-        pressed = _PRESSED if e.effect.id == "end_stop" and not _removes_all(problem, h) else _LEANING
-        if e.effect.id == "end_stop" and _yields(h, e, values[1], pressed):
-            return "the recording goes far beyond the stop: it yields like a spring"
+        if e.effect.id == "end_stop":
+            if not np.any(_depths(h, e, values[1]) > 0.0):
+                return "the stop lies outside the travelled range"
+            if _yields(h, e, values[1], _LEANING if _removes_all(problem, h) else _PRESSED):
+                return "the recording goes far beyond the stop: it yields like a spring"
         if e.effect.id in ("actuator_saturation", "overflow"):
             top = z[0] if not first.log else np.exp(z[0])
             if top >= 0.9995 and first.high <= 1.0:

@@ -43,29 +43,28 @@ __all__ = ["Effect", "Place", "Quantity", "push", "react", "scale_of", "slide", 
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
+def _enter(phase, force, mode, target, inertia, u, p, dx):
+    """Add a force to an input (mode 0), against it (2), or to a rate, over an inertia where there is one (1)."""
+    if mode != 1:
+        if phase == 1:
+            u[target] += force if mode == 0 else -force
+    elif phase == 2:
+        if inertia >= 0:
+            dx[target] += force / p[inertia]
+        else:
+            dx[target] += force
+
+
+@njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def push(phase, force, ii, u, p, dx):
     """Add a force at the place ii describes, in phases 1 (through an input) and 2 (on a derivative)."""
-    if ii[1] != 1:
-        if phase == 1:
-            u[ii[2]] += force if ii[1] == 0 else -force
-    elif phase == 2:
-        if ii[3] >= 0:
-            dx[ii[2]] += force / p[ii[3]]
-        else:
-            dx[ii[2]] += force
+    _enter(phase, force, ii[1], ii[2], ii[3], u, p, dx)
 
 
 @njit(cache=True, nogil=True, error_model="numpy", inline="always")
 def react(phase, force, ii, u, p, dx):
     """The same for the second of two bodies."""
-    if ii[7] != 1:
-        if phase == 1:
-            u[ii[8]] += force if ii[7] == 0 else -force
-    elif phase == 2:
-        if ii[11] >= 0:
-            dx[ii[8]] += force / p[ii[11]]
-        else:
-            dx[ii[8]] += force
+    _enter(phase, force, ii[7], ii[8], ii[11], u, p, dx)
 
 
 @njit(cache=True, nogil=True, error_model="numpy")

@@ -7,9 +7,9 @@ whatever its slip: rest of one body against another is no zero of a state.
 
 from __future__ import annotations
 
-from math import exp
-
 from pwaid.mismatch.effects.base import Effect, Quantity, push, react
+from pwaid.mismatch.effects.friction import dahl
+from pwaid.mismatch.effects.position import penetration
 from pwaid.mismatch.struts import struts
 
 __all__ = ["EFFECTS"]
@@ -42,14 +42,8 @@ def presliding(phase, t, h, x, xs, u, p, dx, ii, q):
     """Dahl: F = stiffness * z, dz/dt = v - stiffness*|v|*z/level, exact for the substep's first relative speed."""
     e = ii[0]
     if phase == 0:
-        v = q[4] * x[ii[4]] + q[5] * x[ii[6]]
-        b = q[1] * abs(v) * h / q[0]
         old = x[e]
-        if b < 1e-6:
-            x[e] += v * h
-        else:
-            rest = q[0] / q[1] * (1.0 if v > 0.0 else -1.0)
-            x[e] = rest + (x[e] - rest) * exp(-b)
+        x[e] = dahl(old, q[4] * x[ii[4]] + q[5] * x[ii[6]], h, q[0], q[1])
         x[e + 1] = 0.5 * (old + x[e])
     elif phase <= 2:
         force = q[1] * x[e + 1]
@@ -68,14 +62,7 @@ def cubic_spring(phase, t, h, x, xs, u, p, dx, ii, q):
 def end_stop(phase, t, h, x, xs, u, p, dx, ii, q):
     """F = stiffness * penetration (+ damping while pressed) of the relative position; variant 0 both sides, 1 upper,
     -1 lower."""
-    s, side = q[3] * x[ii[5]] + q[4] * x[ii[9]], ii[10]
-    depth = 0.0
-    if side >= 0 and s > q[1]:
-        depth = s - q[1]
-    elif side == 0 and s < -q[1]:
-        depth = s + q[1]
-    elif side < 0 and s < q[1]:
-        depth = s - q[1]
+    depth = penetration(q[3] * x[ii[5]] + q[4] * x[ii[9]], q[1], ii[10])
     if depth != 0.0:
         force = q[0] * depth + q[2] * (q[5] * x[ii[4]] + q[6] * x[ii[6]])
         if force * depth > 0.0:  # a stop pushes and never pulls

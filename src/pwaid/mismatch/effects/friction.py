@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from math import exp
 
+from numba import njit
+
 from pwaid.mismatch.effects.base import Effect, Quantity, push, slide
 
-__all__ = ["EFFECTS"]
+__all__ = ["EFFECTS", "dahl"]
 
 _PROBES = (0.04, 0.15, 0.4)
 
@@ -36,18 +38,22 @@ def stribeck_of_first_order(phase, t, h, x, xs, u, p, dx, ii, q):
         slide(phase, q[0] + q[1] * exp(-abs(xs[ii[4]] if phase == 4 else x[ii[4]]) / q[2]), ii, h, x, xs, dx)
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def dahl(z, v, h, level, stiffness):
+    """Dahl's strain after a time h at the speed v: dz/dt = v - stiffness*|v|*z/level."""
+    b = stiffness * abs(v) * h / level
+    if b < 1e-6:
+        return z + v * h
+    rest = level / stiffness * (1.0 if v > 0.0 else -1.0)
+    return rest + (z - rest) * exp(-b)
+
+
 def presliding(phase, t, h, x, xs, u, p, dx, ii, q):
     """Dahl: F = stiffness * z, dz/dt = v - stiffness*|v|*z/level, exact for the substep's first speed."""
     e = ii[0]
     if phase == 0:
-        v = x[ii[4]]
-        b = q[1] * abs(v) * h / q[0]
         old = x[e]
-        if b < 1e-6:
-            x[e] += v * h
-        else:
-            rest = q[0] / q[1] * (1.0 if v > 0.0 else -1.0)
-            x[e] = rest + (x[e] - rest) * exp(-b)
+        x[e] = dahl(old, x[ii[4]], h, q[0], q[1])
         x[e + 1] = 0.5 * (old + x[e])
     elif phase <= 2:
         push(phase, -q[1] * x[e + 1], ii, u, p, dx)

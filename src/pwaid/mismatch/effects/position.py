@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from math import sin
 
+from numba import njit
+
 from pwaid.mismatch.effects.base import Effect, Quantity, push
 
-__all__ = ["EFFECTS"]
+__all__ = ["EFFECTS", "penetration"]
 
 
 def linear_spring(phase, t, h, x, xs, u, p, dx, ii, q):
@@ -36,16 +38,21 @@ def ripple(phase, t, h, x, xs, u, p, dx, ii, q):
     push(phase, -q[0] * sin(q[1] * x[ii[5]] + q[2]), ii, u, p, dx)
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def penetration(s, edge, side):
+    """How far s is beyond a stop, with its sign; side 0 both, at edge and -edge, 1 upper, -1 lower."""
+    if side >= 0 and s > edge:
+        return s - edge
+    if side == 0 and s < -edge:
+        return s + edge
+    if side < 0 and s < edge:
+        return s - edge
+    return 0.0
+
+
 def end_stop(phase, t, h, x, xs, u, p, dx, ii, q):
     """F = stiffness * penetration (+ damping while pressed); variant 0 both sides, 1 upper, -1 lower."""
-    s, side = x[ii[5]], ii[10]
-    depth = 0.0
-    if side >= 0 and s > q[1]:
-        depth = s - q[1]
-    elif side == 0 and s < -q[1]:
-        depth = s + q[1]
-    elif side < 0 and s < q[1]:
-        depth = s - q[1]
+    depth = penetration(x[ii[5]], q[1], ii[10])
     if depth != 0.0:
         force = q[0] * depth + q[2] * x[ii[4]]
         if force * depth > 0.0:  # a stop pushes and never pulls
