@@ -5,6 +5,8 @@ from __future__ import annotations
 import os
 from pathlib import Path
 
+os.environ.setdefault("OMP_NUM_THREADS", "1")  # before NumPy: one test process a core, so its BLAS needs one thread
+
 import numpy as np
 import pytest
 

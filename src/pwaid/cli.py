@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import os
 import sys
 import tempfile
 import time
@@ -75,7 +76,7 @@ def _parser() -> argparse.ArgumentParser:
     explain = commands.add_parser("explain", help="say why a simulator and recordings differ")
     explain.add_argument("case", type=Path, metavar="CASE_DIR", help="folder with case.toml, simulator and recordings")
     explain.add_argument("-o", "--out", type=Path, help="folder for the results (default: CASE_DIR/explained)")
-    explain.add_argument("--jobs", type=_jobs, default=1, help="threads (default 1)")
+    explain.add_argument("--jobs", type=_jobs, default=_cores(), help="threads (default: one a core, %(default)s)")
     explain.add_argument("--without", action="append", default=[], metavar="EFFECT_ID", help="leave an effect out")
     explain.set_defaults(run=_explain)
 
@@ -86,6 +87,11 @@ def _parser() -> argparse.ArgumentParser:
     demo.add_argument("-o", "--out", type=Path, help="folder for the results (default: a new temporary one)")
     demo.set_defaults(run=_demo)
     return parser
+
+
+def _cores() -> int:
+    """How many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def _jobs(text: str) -> int:
@@ -238,7 +244,7 @@ def _demo(options: argparse.Namespace) -> int:
         _demo_sweep(folder)
     print("\nA machine that its simulator does not match: what was left out?")
     with _Percent() as progress:
-        report = mismatch.explain_case(mismatch.demo_case_path(), out / "explained", jobs=2, progress=progress)
+        report = mismatch.explain_case(mismatch.demo_case_path(), out / "explained", jobs=_cores(), progress=progress)
     print(report.summary)
     print(f"\nreport: {out / 'explained' / 'report.html'}  ({time.perf_counter() - began:.1f} s in all)")
     return 0

@@ -12,6 +12,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from pwaid.errors import InputError
 from pwaid.folders import ready_folder
@@ -39,6 +40,9 @@ from pwaid.mismatch.thresholds import Thresholds
 from pwaid.recording import Recording
 
 __all__ = ["collect", "collect_case", "conclude", "explain", "explain_case"]
+
+# The matrices here are small: threads of the BLAS would double the CPU time, and take the cores from `jobs`.
+_one_blas_thread = threadpool_limits.wrap(limits=1, user_api="blas")
 
 
 def _split(train: Sequence[Recording]) -> tuple[list[Recording], list[Recording], int]:
@@ -110,6 +114,7 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
     return conclude(evidence, thresholds, started, progress, jobs)
 
 
+@_one_blas_thread
 def collect(simulator, train, test=None, free_parameters=None, *, units=None, tolerances=None, noise_floor=None,
             repeats=(), hold="zero", closed_loop=False, controller=None, references=None, effects=None, without=(),
             jobs=1, progress=None, source="") -> Evidence:
@@ -162,6 +167,7 @@ def collect(simulator, train, test=None, free_parameters=None, *, units=None, to
     return replace(evidence, loop=loop)
 
 
+@_one_blas_thread
 def conclude(evidence: Evidence, thresholds: Thresholds | None = None, started: float | None = None,
              progress: Callable | None = None, jobs: int = 1, brief: bool = False) -> Report:
     """Decide, locate and report on hypotheses that are already fitted.
