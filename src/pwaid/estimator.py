@@ -14,7 +14,7 @@ from pwaid.delaunay import SimplexMesh
 from pwaid.errors import InputError
 from pwaid.lambda_max import lambda_max
 from pwaid.lerp import barycentric_rows, hinge_matrix
-from pwaid.path import NO_FOLD, RULES, UNDETERMINED, fold_labels, lambda_grid, solve_path
+from pwaid.path import RULES, fold_labels, fold_squares, lambda_grid
 from pwaid.problem import HingeProblem
 from pwaid.pwa_map import OUTSIDE_RULES, PWAMap
 from pwaid.solve import check_lambda, solve
@@ -176,21 +176,16 @@ class PWARegressor(MultiOutputMixin, RegressorMixin, BaseEstimator):
 
     def _cross_validated(self, problem, A, F, y, label):
         grid = lambda_grid(float(lambda_max(problem)), self.n_lambdas, self.ratio)
-        squared = []
-        for fold in np.unique(label):
-            train, test = label != fold, label == fold
-            part = self._problem(A[train], F, y[train])
-            if not part.is_determined:
-                warnings.warn(UNDETERMINED.format(fold), stacklevel=4)
-                continue
-            if part.is_affine:
-                values = [part.affine_values] * len(grid)
-            else:
-                values = [s.values for s in solve_path(part, lambdas=grid * train.mean(), tol=self.tol).solutions]
-            squared.append([np.mean((y[test] - A[test] @ v) ** 2) for v in values])
-        if not squared:
-            raise InputError(NO_FOLD)
-        squared = np.array(squared)
+
+        def pose(train):
+            return self._problem(A[train], F, y[train])
+
+        def judge(test):
+            return lambda solution: float(np.mean((y[test] - A[test] @ solution.values) ** 2))
+
+        squared, lost = fold_squares(label, grid, pose, judge, self.tol)
+        for note in lost:
+            warnings.warn(note, stacklevel=4)
         mean = squared.mean(axis=0)
         best = int(np.argmin(mean))
         if self.rule == "1se":

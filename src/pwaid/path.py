@@ -21,7 +21,7 @@ from pwaid.recording import check_finite, check_samples
 from pwaid.solution import Path, Solution, Status
 from pwaid.solve import METHODS, solve
 
-__all__ = ["RULES", "cross_validate", "fold_labels", "lambda_grid", "solve_path"]
+__all__ = ["RULES", "cross_validate", "fold_labels", "fold_squares", "lambda_grid", "solve_path"]
 
 RULES = ("min", "1se")
 UNDETERMINED = (
@@ -164,30 +164,54 @@ def cross_validate(
     label = fold_labels(len(X), k, folds, rng)
     largest = float(lambda_max(problem))
     grid = lambda_grid(largest, n_lambdas, ratio, start)
-    squared, notes = [], []
-    for fold in range(k):
-        train, test = label != fold, label == fold
-        part = HingeProblem.from_data(mesh, X[train], y[train], weighting=weighting, outside=outside)
-        if not part.is_determined:
-            notes.append(UNDETERMINED.format(fold))
-            continue
-        if part.is_affine:
-            error = _HeldOut(mesh, X[test], y[test]).rmse(solve(part, 1.0))[0]
-            squared.append(np.full(len(grid), error**2))
-            continue
-        path = solve_path(
-            part, lambdas=grid * train.mean(), tol=tol, method=method, mesh=mesh, X_val=X[test], y_val=y[test]
-        )
-        squared.append(path.validation_rmse**2)
-    if not squared:
-        raise InputError(NO_FOLD)
-    squared = np.array(squared)
+
+    def pose(train):
+        return HingeProblem.from_data(mesh, X[train], y[train], weighting=weighting, outside=outside)
+
+    def judge(test):
+        held = _HeldOut(mesh, X[test], y[test])
+        return lambda solution: held.rmse(solution)[0] ** 2
+
+    squared, notes = fold_squares(label, grid, pose, judge, tol, method)
     path = solve_path(problem, lambdas=grid, tol=tol, method=method, mesh=mesh, rule=rule, progress=progress)
     rmse = np.sqrt(squared.mean(axis=0))
     spread = squared.std(axis=0, ddof=min(1, len(squared) - 1)) / np.sqrt(len(squared))
     error = spread / (2.0 * np.maximum(rmse, np.finfo(float).tiny))
     return replace(path, lambda_max=largest, validation_rmse=rmse, validation_se=error,
                    warnings=(*path.warnings, *notes))
+
+
+def fold_squares(label: np.ndarray, grid: np.ndarray, pose: Callable, judge: Callable, tol: float,
+                 method: str = "auto") -> tuple[np.ndarray, list[str]]:
+    """Mean squared error on held-out samples, a row a fold and a column a λ; and what to say of folds left out.
+
+    Parameters
+    ----------
+    label : (N,) fold of every sample. grid : (n,) λ of the problem on all samples.
+    pose : from a mask of samples to their `HingeProblem`.
+    judge : from the mask of the held-out samples to a function from a `Solution` to their mean squared error.
+
+    Raises
+    ------
+    InputError
+        Where no fold can be held out.
+    """
+    squared, lost = [], []
+    for fold in np.unique(label):
+        train = label != fold
+        part = pose(train)
+        if not part.is_determined:
+            lost.append(UNDETERMINED.format(fold))
+            continue
+        if part.is_affine:
+            solutions = [solve(part, 1.0)] * len(grid)
+        else:
+            solutions = solve_path(part, lambdas=grid * train.mean(), tol=tol, method=method).solutions
+        error = judge(~train)
+        squared.append([error(s) for s in solutions])
+    if not squared:
+        raise InputError(NO_FOLD)
+    return np.array(squared), lost
 
 
 def fold_labels(n: int, k: int, folds: str = "random", rng: Any = None) -> np.ndarray:
