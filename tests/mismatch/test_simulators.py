@@ -75,6 +75,17 @@ def test_a_simulator_without_states_is_explained(system):
     assert report.effects[0]["parameters"]["half_width"]["value"] == pytest.approx(0.3, rel=0.02)
 
 
+def test_a_law_without_parameters_is_named_where_nothing_else_may_change():
+    system = control.sample_system(control.ss(FIRST), DT)
+
+    def respond(u):
+        return np.abs(control.forced_response(system, U=u.T).outputs.reshape(-1, 1))
+
+    recs = [recording(s, 1, 1, respond) for s in (1, 2, 3)]
+    report = explain(system, recs[:2], recs[2:], free_parameters=[], effects=effect_by_id("sensor_rectification"))
+    assert [e["id"] for e in report.effects] == ["sensor_rectification"]
+
+
 @pytest.mark.parametrize(("system", "message"), [
     (control.tf([1.0, 1.0, 0.0], [0.2, 1.0]), "no state space"),
     (control.frd([1.0, 2.0, 3.0], [1.0, 2.0, 3.0]), "fit a model to frequency data first"),

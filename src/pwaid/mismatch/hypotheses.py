@@ -149,7 +149,7 @@ def _finish(problem: Problem, base: Fit, trials: Sequence[Fit], iterations: int 
     """All data from the best trial, and from the second where it is about as good: on segments, then as a whole."""
     ends = []
     for trial in trials[:2]:
-        distinct = not ends or np.max(np.abs(trial.theta - trials[0].theta)) > 0.05
+        distinct = not ends or np.max(np.abs(trial.theta - trials[0].theta), initial=0.0) > 0.05
         if ends and (trial.cost > 3 * trials[0].cost or not distinct):
             break
         X0 = _begun(problem, trial.model, trial.theta, problem.coarse, base.X0)
