@@ -94,15 +94,16 @@ def test_explain_refuses_a_folder_without_a_case_in_one_line(tmp_path, capsys):
     assert "case.toml" in err and len(err.strip().splitlines()) == 1 and not (tmp_path / "out").exists()
 
 
-def test_explain_refuses_an_unknown_effect_and_bad_jobs(tmp_path, capsys):
+def test_explain_refuses_an_unknown_effect_bad_jobs_and_bad_minutes(tmp_path, capsys):
     from pwaid.mismatch import demo_case_path
 
     out = str(tmp_path / "out")
     assert main(["explain", str(demo_case_path()), "-o", out, "--without", "gremlins"]) == 2
     assert "gremlins" in capsys.readouterr().err
-    with pytest.raises(SystemExit) as stop:
-        main(["explain", str(demo_case_path()), "--jobs", "0"])
-    assert stop.value.code == 2
+    for option, value in (("--jobs", "0"), ("--minutes", "0"), ("--minutes", "long"), ("--minutes", "inf")):
+        with pytest.raises(SystemExit) as stop:
+            main(["explain", str(demo_case_path()), option, value])
+        assert stop.value.code == 2 and repr(value) in capsys.readouterr().err
 
 
 def test_effects_lists_the_catalogue(capsys):

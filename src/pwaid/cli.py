@@ -77,6 +77,7 @@ def _parser() -> argparse.ArgumentParser:
     explain.add_argument("case", type=Path, metavar="CASE_DIR", help="folder with case.toml, simulator and recordings")
     explain.add_argument("-o", "--out", type=Path, help="folder for the results (default: CASE_DIR/explained)")
     explain.add_argument("--jobs", type=_jobs, default=_cores(), help="threads (default: one a core, %(default)s)")
+    explain.add_argument("--minutes", type=_minutes, help="try no further law after this time (default: no limit)")
     explain.add_argument("--without", action="append", default=[], metavar="EFFECT_ID", help="leave an effect out")
     explain.set_defaults(run=_explain)
 
@@ -99,6 +100,17 @@ def _jobs(text: str) -> int:
     if not text.isdigit() or int(text) < 1:
         raise argparse.ArgumentTypeError(f"{text!r} is not a whole number of at least 1")
     return int(text)
+
+
+def _minutes(text: str) -> float:
+    """A time in minutes, for argparse."""
+    try:
+        minutes = float(text)
+    except ValueError:
+        minutes = 0.0
+    if not 0 < minutes < float("inf"):
+        raise argparse.ArgumentTypeError(f"{text!r} is not a positive number of minutes")
+    return minutes
 
 
 class _Percent:
@@ -125,7 +137,8 @@ def _explain(options: argparse.Namespace) -> int:
     out = options.out or options.case / "explained"
     with _Percent() as progress:
         report = mismatch.explain_case(
-            options.case, out, jobs=options.jobs, progress=progress, without=tuple(options.without)
+            options.case, out, jobs=options.jobs, progress=progress, without=tuple(options.without),
+            minutes=options.minutes,
         )
     print(report.summary)
     print(f"\nwritten: {', '.join(sorted(p.name for p in out.iterdir()))} in {out}")

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from tests_support import gathered, pushed, record
 
+from pwaid.errors import InputError
 from pwaid.mismatch import evidence as module
 from pwaid.mismatch.decide import decide
 from pwaid.mismatch.hypotheses import floor_square
@@ -31,6 +32,24 @@ def test_where_an_effect_reaches_the_floor_no_other_is_looked_for(monkeypatch):
     monkeypatch.setattr(module, "overlooked", lambda *args: asked.append(args) or [])
     gathered([record(s, level=0.3) for s in (1, 2, 3)], *IDS)
     assert not asked
+
+
+def test_when_the_time_is_over_the_best_law_is_fitted_and_the_rest_is_said_to_be_untried():
+    def both(x, v):
+        return -1.5 * x**3 - 0.6 * v * abs(v)
+
+    recordings, ids = [pushed(s, both) for s in (1, 2, 3)], ("cubic_stiffness", "quadratic_drag", "coulomb_friction")
+    patient, hasty = (gathered(recordings, *ids, minutes=m) for m in (None, 1e-6))
+    assert len(patient.singles) > 1 and patient.pairs and module.STOPPED not in patient.notes
+    assert len(hasty.singles) == 1 and not hasty.pairs and module.STOPPED in hasty.notes
+    assert hasty.singles[0].ids[0] == hasty.screened[0].located.effect.id
+    assert decide(hasty.problem, hasty.null, hasty.singles, hasty.pairs).verdict == "unexplained"
+
+
+@pytest.mark.parametrize("minutes", [0.0, -1.0, float("nan")])
+def test_no_time_at_all_is_refused(minutes):
+    with pytest.raises(InputError, match="positive number"):
+        gathered([record(s) for s in (1, 2, 3)], "coulomb_friction", minutes=minutes)
 
 
 def test_the_best_place_of_every_effect_left_out_is_looked_at():

@@ -77,8 +77,8 @@ def pushed(seed: int, force, highest: float = 1.5, samples: int = 900, dt: float
     return recorded(t, u, y, noise, rng, seed)
 
 
-def gathered(recordings, *ids, plant=None):
+def gathered(recordings, *ids, plant=None, minutes=None):
     """What explain gathers from two recordings and a held-out one, with these effects only."""
     return collect(plant or oscillator(), recordings[:2], recordings[2:], list(TRUE),
-                   effects=[e for i in ids for e in effect_by_id(i)])
+                   effects=[e for i in ids for e in effect_by_id(i)], minutes=minutes)
 

@@ -38,6 +38,8 @@ KEPT = 2.0  # times the noise floor
 MATERIAL, REACHED, CARRIED = 1.25, 1.2, 2.0
 LED, STRANDED = 3, 0.7  # singles whose parameters the null is tried at, and times its cost that shows it was stranded
 PROMOTED = 8  # singles, and pairs, of a search on stretches that are fitted to all recordings
+STOPPED = ("the time given was over before every law and pair had been tried: what is named may have rivals that were "
+           "not; give more minutes to look on")
 
 
 @dataclass(frozen=True)
@@ -79,6 +81,8 @@ def gather(problem: Problem, notes: Sequence[str], catalogue: Sequence[Effect], 
         found = replace(found, problem=problem, null=null_hypothesis(problem))
         notes = (*notes, f"candidates were looked for on {len(small.train.U)} of {len(problem.train.U)} training "
                          "samples, and the best were fitted to all")
+    if problem.late:
+        notes = (*notes, STOPPED)
     return replace(found, singles=tuple(singles), pairs=tuple(pairs), notes=tuple(notes))
 
 
@@ -110,20 +114,22 @@ def _search(problem: Problem, catalogue: Sequence[Effect], jobs: int, say: Calla
         chosen = chosen[:3]  # nothing to explain: the best few are fitted so that the report can show them
     say(0.3, f"fitting {len(chosen)} candidates")
     singles = fit_shortlist(problem, chosen, jobs)
-    if singles and problem.plant.rhs is not None and _errs(problem, null) and _above_floor(problem, singles):
+    errs = bool(singles) and _errs(problem, null)
+    if errs and not problem.late and problem.plant.rhs is not None and _above_floor(problem, singles):
         say(0.45, "fitting effects that the screen does not see")
         singles += fit_shortlist(problem, overlooked(screened, chosen), jobs, keep=2)
     singles = fit_contained(problem, _sorted(singles), located, jobs)
-    if singles and _errs(problem, null):
+    if errs and not problem.late:
         singles = fit_lookalikes(problem, singles, located, jobs)
         if problem.plant.rhs is not None and _short_of_floor(problem, null, singles):
             singles = fit_by_segments(problem, singles, located, jobs)
     if problem.whole is not None and singles and _keeps_whole(problem, singles[0]):
         problem = problem.uncut()
         null, singles = null_hypothesis(problem), _judged(problem, singles, jobs)
-    lower = None if settled or not _errs(problem, null) else _lower_valley(problem, singles)
-    pairs = []
-    if singles and lower is None and _errs(problem, null) and _short_of_floor(problem, null, singles):
+    if problem.late or not singles or not _errs(problem, null):
+        return Evidence(problem, null, tuple(screened), tuple(singles), (), len(located))
+    lower, pairs = None if settled else _lower_valley(problem, singles), []
+    if lower is None and _short_of_floor(problem, null, singles):
         say(0.6, "fitting pairs")
         singles, pairs = _pairs(problem, null, singles, located, jobs)
     return Evidence(problem, null, tuple(screened), tuple(singles), tuple(pairs), len(located) + len(pairs),
@@ -148,17 +154,20 @@ def _pairs(problem, null, singles, located, jobs):
     """The singles, refitted from good pairs, and the pairs; best first."""
     cheap = len(problem.train.U) * problem.settings.substeps < 5000
     pairs = fit_joint(problem, located, jobs) if problem.plant.rhs is not None else []  # too long in Python
-    pairs = _sorted([*pairs, *fit_pairs(problem, singles, _sound(problem, singles), located, jobs,
-                                        width=4 if cheap else 2)])
-    if pairs and _short_of_floor(problem, null, pairs):
+    if not problem.late:
+        pairs += fit_pairs(problem, singles, _sound(problem, singles), located, jobs, width=4 if cheap else 2)
+    pairs = _sorted(pairs)
+    if pairs and not problem.late and _short_of_floor(problem, null, pairs):
         pairs += fit_swaps(problem, _sound(problem, pairs), located, jobs)
     pairs = _sorted(pairs)
-    if problem.plant.rhs is not None and _short_of_floor(problem, null, pairs or singles):
+    if problem.plant.rhs is not None and not problem.late and _short_of_floor(problem, null, pairs or singles):
         best = _sound(problem, singles)[0]
         others = [c for c in located if c.key != best.located[0].key]
         pairs = _sorted([*pairs, *fit_partners_by_segments(problem, best, others, jobs)])
     pairs = _sorted([*pairs, *fit_reversed(problem, pairs, jobs)])
     singles = fit_members(problem, pairs, singles, jobs)
+    if problem.late:
+        return singles, pairs
     return singles, _sorted([*pairs, *fit_inner(problem, _sound(problem, pairs), located, jobs)])
 
 

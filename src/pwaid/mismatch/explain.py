@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 import time as clock
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -72,8 +73,8 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
             repeats=(), hold: str = "zero", closed_loop: bool = False, controller=None,
             references: Mapping[str, np.ndarray] | None = None, effects=None,
             without: Sequence[str] = (),
-            jobs: int = 1, progress: Callable | None = None, thresholds: Thresholds | None = None,
-            source: str = "") -> Report:
+            jobs: int = 1, minutes: float | None = None, progress: Callable | None = None,
+            thresholds: Thresholds | None = None, source: str = "") -> Report:
     """Say why a simulator and recordings differ.
 
     Parameters
@@ -95,6 +96,7 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
     effects : the catalogue to try; the built-in one plus registered effects by default.
     without : effect ids left out of the catalogue.
     jobs : threads. progress : callable ``progress(fraction, text)``.
+    minutes : time after which no further law is tried, and the verdict rests on those that were; no limit by default.
 
     Returns
     -------
@@ -110,16 +112,19 @@ def explain(simulator, train, test=None, free_parameters: Sequence[str] | None =
     evidence = collect(simulator, train, test, free_parameters, units=units, tolerances=tolerances,
                        noise_floor=noise_floor, repeats=repeats, hold=hold, closed_loop=closed_loop,
                        controller=controller, references=references, effects=effects, without=without, jobs=jobs,
-                       progress=progress, source=source)
+                       minutes=minutes, progress=progress, source=source)
     return conclude(evidence, thresholds, started, progress, jobs)
 
 
 @_one_blas_thread
 def collect(simulator, train, test=None, free_parameters=None, *, units=None, tolerances=None, noise_floor=None,
             repeats=(), hold="zero", closed_loop=False, controller=None, references=None, effects=None, without=(),
-            jobs=1, progress=None, source="") -> Evidence:
+            jobs=1, minutes=None, progress=None, source="") -> Evidence:
     """Check what came, refit the nominal simulator, fit every hypothesis worth it; parameters as for `explain`."""
     say = progress or (lambda fraction, text: None)
+    if minutes is not None and not minutes > 0:
+        raise InputError(f"minutes is {minutes}; expected a positive number, or None for no limit")
+    deadline = math.inf if minutes is None else clock.monotonic() + 60.0 * minutes
     if hold not in ("zero", "first"):
         raise InputError(f"hold is {hold!r}; expected 'zero' or 'first'")
     train = [train] if isinstance(train, Recording) else list(train)
@@ -156,12 +161,13 @@ def collect(simulator, train, test=None, free_parameters=None, *, units=None, to
         problem = prepare(plant, data, held, [units.get(n, "") for n in train[0].input_names],
                           [units.get(n, "") for n in train[0].output_names], free_parameters, tolerances,
                           noise_floor, groups, hold == "first", start)
+        problem = replace(problem, deadline=deadline)
         said = hygiene(problem, closed_loop, loop is not None)
         return with_feedback(problem, closed_loop or loop is not None), [*notes, *dropped, *said]
 
     catalogue = [e for e in (CATALOGUE if effects is None else effects) if e.id not in without]
     evidence = gather(*posed(), catalogue, jobs, say)
-    if evidence.lower is not None:
+    if evidence.lower is not None and not evidence.problem.late:
         say(0.02, "refitting the nominal simulator from where a law led its parameters")
         evidence = gather(*posed(evidence.lower), catalogue, jobs, say, settled=True)
     return replace(evidence, loop=loop)
@@ -216,13 +222,13 @@ def _same_input(group) -> bool:
 
 
 def explain_case(case_dir, out=None, jobs: int = 1, progress: Callable | None = None,
-                 without: Sequence[str] = ()) -> Report:
+                 without: Sequence[str] = (), minutes: float | None = None) -> Report:
     """Explain a case folder and write report.json, report.html, report.txt and repaired_simulator.py.
 
     Parameters
     ----------
     case_dir : folder with case.toml. out : folder for the results, ``CASE_DIR/explained`` by default.
-    without : effect ids left out of the catalogue.
+    without : effect ids left out of the catalogue. jobs, minutes : as for `explain`.
 
     Raises
     ------
@@ -232,15 +238,16 @@ def explain_case(case_dir, out=None, jobs: int = 1, progress: Callable | None = 
     started = clock.perf_counter()
     case = load_case(case_dir)
     with ready_folder(Path(case_dir) / "explained" if out is None else out) as folder:
-        report = conclude(collect_case(case, jobs, progress, without), None, started, progress, jobs)
+        report = conclude(collect_case(case, jobs, progress, without, minutes), None, started, progress, jobs)
         write_report(report, folder, case.simulator_source)
     return report
 
 
-def collect_case(case: Case, jobs: int = 1, progress: Callable | None = None, without: Sequence[str] = ()) -> Evidence:
+def collect_case(case: Case, jobs: int = 1, progress: Callable | None = None, without: Sequence[str] = (),
+                 minutes: float | None = None) -> Evidence:
     """The evidence of a loaded case folder."""
     return collect(case.plant, case.train, case.test or None, case.free, tolerances=case.tolerances,
                    noise_floor=case.noise_floor, repeats=case.repeats,
                    hold="first" if case.first_order_hold else "zero", closed_loop=case.closed_loop,
                    controller=case.controller, references=case.references, without=without, jobs=jobs,
-                   progress=progress, source=case.simulator_source)
+                   minutes=minutes, progress=progress, source=case.simulator_source)

@@ -222,7 +222,7 @@ def fit_shortlist(problem: Problem, candidates: Sequence[Screened], jobs: int = 
     """
     base = problem.null_coarse if base is None else base
 
-    tried = sorted(zip(run_jobs(lambda c: _trials(problem, base, c), candidates, jobs), candidates, strict=True),
+    tried = sorted(_in_time(problem, lambda c: (_trials(problem, base, c), c), candidates, jobs),
                    key=lambda t: t[0][0].cost)
     tried = _worthwhile(problem, base, tried)
     ids = {e for _, c in tried[:keep] for e in c.located.effect.contains}
@@ -236,7 +236,13 @@ def fit_shortlist(problem: Problem, candidates: Sequence[Screened], jobs: int = 
         fit, coarse = _finish(problem, base, trials)
         return hypothesis_of(problem, fit, candidate.score, coarse)
 
-    return sorted(run_jobs(finish, kept, jobs), key=lambda h: h.train_error)
+    return sorted(_in_time(problem, finish, kept, jobs), key=lambda h: h.train_error)
+
+
+def _in_time(problem: Problem, function, items: Sequence, jobs: int) -> list:
+    """The function of the first item, and of those whose turn comes before the problem's deadline."""
+    return [found for found in run_jobs(lambda item: function(item) if item is items[0] or not problem.late else None,
+                                        items, jobs) if found is not None]
 
 
 def fit_screened(problem: Problem, base: Fit, located: Sequence[Located], jobs: int = 1,

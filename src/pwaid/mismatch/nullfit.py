@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+import time as clock
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -34,7 +36,8 @@ class Problem:
 
     `coarse` is `train` cut into segments that any start of the parameters can follow; candidates are screened and
     first fitted there, then on `train`. `whole` holds the recordings uncut where only the null loses them. `brief` says
-    that `coarse` holds segments so short that every motion is kept.
+    that `coarse` holds segments so short that every motion is kept. From `deadline` on, seconds of the monotonic clock,
+    nothing further is looked for.
     """
 
     plant: Plant
@@ -54,6 +57,12 @@ class Problem:
     notes: tuple[str, ...] = ()
     whole: tuple[Dataset, Dataset] | None = None
     brief: bool = False
+    deadline: float = math.inf
+
+    @property
+    def late(self) -> bool:
+        """Whether the deadline is over."""
+        return clock.monotonic() > self.deadline
 
     def measured(self, data: Dataset) -> np.ndarray:
         """Start states as the first samples show them, (segments, nx)."""
