@@ -13,9 +13,10 @@ import numpy as np
 from pwaid.mismatch.adequacy import stretched
 from pwaid.mismatch.decide import at_floor
 from pwaid.mismatch.effects.base import Effect
-from pwaid.mismatch.fit import fit_model
+from pwaid.mismatch.fit import fit_model, fit_starts
 from pwaid.mismatch.hypotheses import (
     Hypothesis,
+    begun_whole,
     fit_shortlist,
     floor_square,
     hypothesis_of,
@@ -37,7 +38,9 @@ KEPT = 2.0  # times the noise floor
 # CARRIED on held-out recordings, leaves nothing to look for.
 MATERIAL, REACHED, CARRIED = 1.25, 1.2, 2.0
 LED, STRANDED = 3, 0.7  # singles whose parameters the null is tried at, and times its cost that shows it was stranded
-PROMOTED = 8  # singles, and pairs, of a search on stretches that are fitted to all recordings
+# Singles, and pairs, of a search on stretches that are promoted to all recordings; those that err DISTANT times as much
+# there (root mean square) as the best of all keep their parameters: they are no rivals, and such fits take long.
+PROMOTED, DISTANT = 8, 3.0
 STOPPED = ("the time given was over before every law and pair had been tried: what is named may have rivals that were "
            "not; give more minutes to look on")
 
@@ -74,7 +77,8 @@ def gather(problem: Problem, notes: Sequence[str], catalogue: Sequence[Effect], 
     singles, pairs = found.singles, found.pairs
     if small is not None and found.lower is None:
         say(0.75, f"fitting what {len(small.train.U)} samples show to all {len(problem.train.U)}")
-        singles, pairs = (_promoted(problem, fitted, jobs) for fitted in (singles, pairs))
+        rival = DISTANT**2 * min((h.train_error for h in (*singles, *pairs)), default=0.0)
+        singles, pairs = (_promoted(problem, fitted, rival, jobs) for fitted in (singles, pairs))
         if problem.whole is not None and singles and _keeps_whole(problem, singles[0]):
             problem = problem.uncut()
             singles, pairs = (_judged(problem, fitted, jobs) for fitted in (singles, pairs))
@@ -86,21 +90,30 @@ def gather(problem: Problem, notes: Sequence[str], catalogue: Sequence[Effect], 
     return replace(found, singles=tuple(singles), pairs=tuple(pairs), notes=tuple(notes))
 
 
-def _promoted(problem: Problem, fitted: Sequence[Hypothesis], jobs: int) -> list[Hypothesis]:
-    """The best of what was fitted to stretches, fitted to everything, best first."""
+def _promoted(problem: Problem, fitted: Sequence[Hypothesis], rival: float, jobs: int) -> list[Hypothesis]:
+    """The best of what was fitted to stretches, fitted to everything, best first; above the error `rival` there, with
+    the parameters found there."""
 
     def refit(h):
+        near = h.train_error <= rival
         coarse = fit_model(h.coarse.model, problem.coarse, problem.sigma, h.coarse.theta, problem.null_coarse.X0,
-                           problem.ranges, 20, 3e-4)
-        return replace(h, coarse=problem.rescanned(coarse))
+                           problem.ranges, 20 if near else 8, 3e-4, hold_globals=not near)
+        if near:
+            return _judged_one(problem, replace(h, coarse=problem.rescanned(coarse)))
+        whole = fit_starts(coarse.model, problem.train, problem.sigma, coarse.theta, begun_whole(problem, coarse),
+                           problem.ranges)
+        return hypothesis_of(problem, whole, h.score, coarse)
 
-    return _judged(problem, run_jobs(refit, fitted[:PROMOTED], jobs), jobs)
+    return _sorted(run_jobs(refit, fitted[:PROMOTED], jobs))
 
 
 def _judged(problem: Problem, fitted: Sequence[Hypothesis], jobs: int) -> list[Hypothesis]:
     """Hypotheses with their fits on the problem's recordings from those on its segments, best first."""
-    return _sorted(run_jobs(lambda h: hypothesis_of(problem, on_whole(problem, h.coarse), h.score, h.coarse), fitted,
-                            jobs))
+    return _sorted(run_jobs(lambda h: _judged_one(problem, h), fitted, jobs))
+
+
+def _judged_one(problem: Problem, h: Hypothesis) -> Hypothesis:
+    return hypothesis_of(problem, on_whole(problem, h.coarse), h.score, h.coarse)
 
 
 def _search(problem: Problem, catalogue: Sequence[Effect], jobs: int, say: Callable, settled: bool) -> Evidence:

@@ -15,8 +15,8 @@ from pwaid.mismatch.scout import part_of
 from pwaid.mismatch.screen import Screened, other_laws, run_jobs, screen
 from pwaid.mismatch.startscan import best_starts
 
-__all__ = ["Hypothesis", "fit_screened", "fit_shortlist", "floor_square", "hypothesis_of", "inner_laws", "joined",
-           "mean_square", "null_hypothesis", "on_whole", "share", "without"]
+__all__ = ["Hypothesis", "begun_whole", "fit_screened", "fit_shortlist", "floor_square", "hypothesis_of", "inner_laws",
+           "joined", "mean_square", "null_hypothesis", "on_whole", "share", "without"]
 
 TORN = 0.3  # times the error on whole recordings: below it, segments fit far better than what they are joined to
 IDLE = 0.1  # share of the error that a second law must remove in a few steps to be fitted at all
@@ -119,14 +119,16 @@ def _trials(problem: Problem, base: Fit, candidate: Screened) -> list[Fit]:
 
 
 def _begun(problem: Problem, model: Model, theta, data: Dataset, X0) -> np.ndarray:
-    """Start states of a trial: those given, or where the null bent a parameter far, in every segment the better of them
-    and of the measured ones: a null that is bent so has put what nothing measures anywhere."""
+    """Start states of a trial: those given, or where the null bent a parameter far, and on stretches from the middle of
+    recordings, in every segment the better of them and of what its first samples show: a null that is bent so has put
+    what nothing measures anywhere, and one that errs has led the rest astray before a stretch begins."""
     null = problem.null_coarse
     bent = np.abs(null.theta[:null.model.np]) > BENT * np.log1p(null.model.settings.tolerance)
-    if problem.plant.rhs is None or not np.any(bent):
+    if problem.plant.rhs is None or not (problem.stretches or np.any(bent)):
         return X0
     given = fit_starts(model, data, problem.sigma, theta, X0, problem.ranges)
-    return best_starts(problem, given, given, [problem.measured(data)], data).X0
+    other = problem.opening_starts(given, data) if problem.stretches else problem.measured(data)
+    return best_starts(problem, given, given, [other], data).X0
 
 
 def _seen_in_part(problem: Problem, model: Model) -> bool:
@@ -157,7 +159,8 @@ def _finish(problem: Problem, base: Fit, trials: Sequence[Fit], iterations: int 
     best = problem.rescanned(min(ends, key=lambda f: f.cost))
     model = _resolved(problem, best)
     coarse = fit_model(model, problem.coarse, problem.sigma, best.theta, best.X0, problem.ranges, iterations, 3e-4)
-    return on_whole(problem, coarse, iterations), coarse
+    fit = on_whole(problem, coarse, iterations)
+    return fit, fit if _is_whole(problem) else coarse
 
 
 def on_whole(problem: Problem, coarse: Fit, iterations: int = 20) -> Fit:
@@ -166,19 +169,30 @@ def on_whole(problem: Problem, coarse: Fit, iterations: int = 20) -> Fit:
     Where it is not at the floor, a start state may have been lost on the way: other starts are tried, and segments that
     grow longer step by step where they fit far better than the whole.
     """
-    if problem.coarse.segments.shape == problem.train.segments.shape:
+    whole = _is_whole(problem)
+    if whole and not problem.stretches:
         return coarse
-    X0 = coarse.X0[np.searchsorted(problem.coarse.segments[:, 0], problem.train.segments[:, 0])]
-    fit = fit_model(coarse.model, problem.train, problem.sigma, coarse.theta, X0, problem.ranges, iterations, 3e-4)
+    fit = coarse if whole else fit_model(coarse.model, problem.train, problem.sigma, coarse.theta,
+                                         begun_whole(problem, coarse), problem.ranges, iterations, 3e-4)
     if mean_square(problem, fit, problem.train) < AT_FLOOR * floor_square(problem):
         return fit
     again = problem.restarted(fit)
     if again is not fit:
         fit = fit_model(again.model, problem.train, problem.sigma, again.theta, again.X0, problem.ranges, iterations,
                         3e-4)
-    if mean_square(problem, coarse, problem.coarse) > TORN * mean_square(problem, fit, problem.train):
+    if whole or mean_square(problem, coarse, problem.coarse) > TORN * mean_square(problem, fit, problem.train):
         return fit
     return min(fit, joined(problem, coarse, problem.coarse, problem.train, iterations), key=lambda f: f.cost)
+
+
+def _is_whole(problem: Problem) -> bool:
+    """Whether the segments on which laws are first fitted are those on which they are judged."""
+    return problem.coarse.segments.shape == problem.train.segments.shape
+
+
+def begun_whole(problem: Problem, coarse: Fit) -> np.ndarray:
+    """Start states on the training recordings: those of the segments with which they begin."""
+    return coarse.X0[np.searchsorted(problem.coarse.segments[:, 0], problem.train.segments[:, 0])]
 
 
 def joined(problem: Problem, fit: Fit, data: Dataset, target: Dataset, iterations: int) -> Fit:

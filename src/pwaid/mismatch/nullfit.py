@@ -13,7 +13,7 @@ import numpy as np
 
 from pwaid.errors import InputError
 from pwaid.mismatch.accelerometers import rates_shown
-from pwaid.mismatch.beginnings import first_states, usable_starts
+from pwaid.mismatch.beginnings import OPENING, first_states, usable_starts
 from pwaid.mismatch.dataset import Dataset
 from pwaid.mismatch.fit import Fit, fit_model, fit_starts
 from pwaid.mismatch.floor import Floor, estimate_floor
@@ -36,8 +36,8 @@ class Problem:
 
     `coarse` is `train` cut into segments that any start of the parameters can follow; candidates are screened and
     first fitted there, then on `train`. `whole` holds the recordings uncut where only the null loses them. `brief` says
-    that `coarse` holds segments so short that every motion is kept. From `deadline` on, seconds of the monotonic clock,
-    nothing further is looked for.
+    that `coarse` holds segments so short that every motion is kept, `stretches` that the data are parts of recordings.
+    From `deadline` on, seconds of the monotonic clock, nothing further is looked for.
     """
 
     plant: Plant
@@ -57,6 +57,7 @@ class Problem:
     notes: tuple[str, ...] = ()
     whole: tuple[Dataset, Dataset] | None = None
     brief: bool = False
+    stretches: bool = False
     deadline: float = math.inf
 
     @property
@@ -85,9 +86,20 @@ class Problem:
         is sensitive, those of the whole segment end in the wrong valley."""
         if self.plant.rhs is None or follows(self, fit, data):
             return fit
-        first = data.openings(max(SHORTEST, int(6 * self.structure.time_scale / data.sample_time)))
-        X0 = fit_starts(fit.model, first, self.sigma, fit.theta, self.measured(first), self.ranges, 12).X0
-        return best_starts(self, fit, fit, [X0], data)
+        return best_starts(self, fit, fit, [self.opening_starts(fit, data)], data)
+
+    def opening_starts(self, fit: Fit, data: Dataset) -> np.ndarray:
+        """Start states (segments, nx) that fit the first seconds of each segment, from the measured ones or from those
+        that fit its first samples; then three and nine times as long, since the valleys grow narrow with the length."""
+        length = max(SHORTEST, int(6 * self.structure.time_scale / data.sample_time))
+        few, first = data.openings(OPENING), data.openings(length)
+        near, begun = (fit_starts(fit.model, part, self.sigma, fit.theta, self.measured(part), self.ranges, 12)
+                       for part in (first, few))
+        X0 = best_starts(self, fit, near, [begun.X0], first).X0
+        longest = int(np.max(np.diff(data.segments[:, :2])))
+        for longer in (n for n in (3 * length, 9 * length) if n < longest):
+            X0 = fit_starts(fit.model, data.openings(longer), self.sigma, fit.theta, X0, self.ranges).X0
+        return X0
 
     def rescanned(self, fit: Fit) -> Fit:
         """A fit to `coarse`, with start states that the null does not see looked for over their range.

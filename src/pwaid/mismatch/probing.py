@@ -194,10 +194,15 @@ def _output_map(plant, points) -> OutputMap:
 
 
 def _drop_impossible(units, partner, ratio):
-    """A speed or a current is no position, and a current or a position no speed, whatever the derivatives look like."""
+    """A speed or a current is no position, and a current or a position no speed, whatever the derivatives look like.
+
+    Volts are what a pick-up gives: a state in volts and its very rate may be a position and a speed.
+    """
     for i, j in enumerate(partner):
         if j >= 0:
             position, speed = (unit_kind(combine({}, (units[k], 1))) for k in (i, j))
+            if "voltage" in (position, speed) and abs(ratio[i] - 1.0) < 1e-9:
+                position = speed = ""
             if position in (*_SPEEDS, *_NO_MOTION) or speed in ("length", "angle", *_NO_MOTION):
                 partner[i], ratio[i] = -1, 0.0
 

@@ -38,7 +38,7 @@ def scouted(problem):
     null = refitted(problem.null, train)
     segmented = train.segments.shape != coarse.segments.shape
     start = part_of(problem.null_test, test, held).X0
-    return replace(problem, train=train, test=test, coarse=coarse if segmented else train, whole=None,
+    return replace(problem, train=train, test=test, coarse=coarse if segmented else train, whole=None, stretches=True,
                    null=null, null_coarse=refitted(problem.null_coarse, coarse) if segmented else null,
                    null_test=fit_starts(null.model, test, problem.sigma, null.theta, start, problem.ranges),
                    nominal=part_of(problem.nominal, train, index),

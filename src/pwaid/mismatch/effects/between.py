@@ -119,7 +119,7 @@ EFFECTS = (
            (Quantity("force", "force", 1e-3, 30.0, (0.1, 0.4)),
             Quantity("yield_displacement", "position", 0.01, 10.0, (0.1, 0.5)),
             Quantity("order", "1", 0.7, 3.0, (1.0, 2.0)),
-            Quantity("shape", "1", 0.0, 1.0, (0.5,), log=False)), bouc_wen, struts,
+            Quantity("shape", "1", -4.0, 1.0, (0.5,), log=False)), bouc_wen, struts,
            ("presliding_friction", "viscous_friction"), "the same amplitude at two rates: the loop's area stays",
            extra_states=1, memory=True, dissipative=True, between=True, start="free"),
 )
