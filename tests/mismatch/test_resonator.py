@@ -8,7 +8,6 @@ import pytest
 from tests_support import TRUE, gathered, multisine, recorded
 
 from pwaid.mismatch import evidence, scout
-from pwaid.mismatch.beginnings import _level_and_slope
 from pwaid.mismatch.decide import decide
 from pwaid.mismatch.effects.registry import effect_by_id
 from pwaid.mismatch.explain import collect
@@ -58,21 +57,6 @@ def test_a_cubic_spring_stronger_than_the_linear_one_is_named_in_volts(monkeypat
     np.testing.assert_array_equal(after[far].fit.theta, before[far].fit.theta)
     assert len(after[far].fit.Y) == len(found.problem.train.U) == 4000
     assert not np.array_equal(after[near].fit.theta, before[near].fit.theta)
-
-
-@pytest.mark.parametrize(("samples_a_turn", "error"), [(9, 0.6), (20, 0.15), (60, 0.1)])
-def test_the_slope_at_the_start_is_that_of_the_motion_there(samples_a_turn, error):
-    w, rng = 2 * np.pi / samples_a_turn, np.random.default_rng(1)
-    for phase in np.linspace(0, 6, 9):
-        level, slope = _level_and_slope(np.sin(w * np.arange(12) + phase) + 1e-3 * rng.normal(size=12), 0.5)
-        assert level == pytest.approx(np.sin(phase), abs=0.05)
-        assert slope == pytest.approx(w * np.cos(phase) / 0.5, abs=error * w / 0.5)
-
-
-def test_few_samples_give_a_start_too():
-    assert _level_and_slope(np.array([5.0]), 0.1) == (5.0, 0.0)
-    assert _level_and_slope(np.array([5.0, 7.0]), 0.1) == (5.0, 0.0)
-    assert _level_and_slope(np.array([1.0, 2.0, 3.0]), 0.1) == pytest.approx((1.0, 10.0))
 
 
 def hysteretic(seed: int, beta: float, gamma: float, samples: int = 900, dt: float = 0.02) -> Recording:

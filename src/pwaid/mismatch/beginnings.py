@@ -11,22 +11,23 @@ from pwaid.mismatch.plant import Plant
 __all__ = ["OPENING", "first_states", "usable_starts"]
 
 OPENING = 12  # samples that show where a segment begins
-# Samples and degree of a polynomial through them, and what it may leave over the noise. At 2 a line's slope is biased
-# about as much as that of a parabola through half the samples is noisy.
-SMOOTHEST_FIRST, PLAIN = ((OPENING, 1), (OPENING, 2), (6, 2), (4, 2)), 2.0
 
 
 def first_states(plant: Plant, structure_map, data: Dataset) -> np.ndarray:
-    """Start states from the outputs: measured states from the first samples, speeds from their slope there."""
+    """Start states from the outputs: measured states from the first samples, speeds from their slope."""
     shown, partner, ratio, units = structure_map
     output_state = shown.state
     nx = plant.sizes[0]
     X0 = np.zeros((len(data.segments), nx))
     for g, (a, b) in enumerate(data.segments[:, :2]):
+        m = int(min(b - a, OPENING))
+        tt = np.arange(m) * data.sample_time
         for k, i in enumerate(output_state):
             if i < 0:
                 continue
-            X0[g, i], slope = _level_and_slope(shown.state_of(k, data.Y[a:min(b, a + OPENING), k]), data.sample_time)
+            measured = shown.state_of(k, data.Y[a:a + m, k])
+            slope, level = np.polyfit(tt, measured, 1) if m > 2 else (0.0, measured[0])
+            X0[g, i] = level
             j = partner[i]
             if j >= 0 and j not in output_state:
                 X0[g, j] = slope / ratio[i]
@@ -35,21 +36,6 @@ def first_states(plant: Plant, structure_map, data: Dataset) -> np.ndarray:
                 alike = [k for k, s in enumerate(output_state) if s >= 0 and partner[s] >= 0 and units[s] == units[i]]
                 X0[g, i] = X0[g, output_state[alike[0]]] if alike else 0.0
     return X0
-
-
-def _level_and_slope(z, dt: float) -> tuple[float, float]:
-    """Where a signal (n,) begins and with what slope: by the smoothest polynomial that leaves about the noise that
-    third differences show."""
-    if len(z) < 3:
-        return float(z[0]), 0.0
-    noise = np.sqrt(np.mean(np.diff(z, 3) ** 2) / 20.0) if len(z) > 3 else 0.0
-    for samples, degree in SMOOTHEST_FIRST:
-        part = z[:samples]
-        line = np.polynomial.Polynomial.fit(np.arange(len(part)), part, min(degree, len(part) - 2))
-        left = np.sum((part - line(np.arange(len(part)))) ** 2) / (len(part) - line.degree() - 1)
-        if left <= (PLAIN * noise) ** 2:
-            break
-    return float(line(0.0)), float(line.deriv()(0.0)) / dt
 
 
 def usable_starts(model, theta, data: Dataset, mapping):

@@ -86,12 +86,20 @@ class Problem:
         is sensitive, those of the whole segment end in the wrong valley."""
         if self.plant.rhs is None or follows(self, fit, data):
             return fit
-        return best_starts(self, fit, fit, [self.opening_starts(fit, data)], data)
+        if self.stretches:
+            return best_starts(self, fit, fit, [self.opening_starts(fit, data)], data)
+        first = data.openings(self._opening(data))
+        X0 = fit_starts(fit.model, first, self.sigma, fit.theta, self.measured(first), self.ranges, 12).X0
+        return best_starts(self, fit, fit, [X0], data)
+
+    def _opening(self, data: Dataset) -> int:
+        """Samples of the first seconds of a segment."""
+        return max(SHORTEST, int(6 * self.structure.time_scale / data.sample_time))
 
     def opening_starts(self, fit: Fit, data: Dataset) -> np.ndarray:
         """Start states (segments, nx) that fit the first seconds of each segment, from the measured ones or from those
         that fit its first samples; then three and nine times as long, since the valleys grow narrow with the length."""
-        length = max(SHORTEST, int(6 * self.structure.time_scale / data.sample_time))
+        length = self._opening(data)
         few, first = data.openings(OPENING), data.openings(length)
         near, begun = (fit_starts(fit.model, part, self.sigma, fit.theta, self.measured(part), self.ranges, 12)
                        for part in (first, few))
