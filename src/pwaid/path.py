@@ -203,12 +203,12 @@ def fold_squares(label: np.ndarray, grid: np.ndarray, pose: Callable, judge: Cal
         if not part.is_determined:
             lost.append(UNDETERMINED.format(fold))
             continue
-        if part.is_affine:
-            solutions = [solve(part, 1.0)] * len(grid)
-        else:
-            solutions = solve_path(part, lambdas=grid * train.mean(), tol=tol, method=method).solutions
         error = judge(~train)
-        squared.append([error(s) for s in solutions])
+        if part.is_affine:
+            squared.append(np.full(len(grid), error(solve(part, 1.0))))
+            continue
+        path = solve_path(part, lambdas=grid * train.mean(), tol=tol, method=method)
+        squared.append([error(s) for s in path.solutions])
     if not squared:
         raise InputError(NO_FOLD)
     return np.array(squared), lost

@@ -102,6 +102,10 @@ class Dataset:
         """The first samples of every segment, each as a recording of its own."""
         return self.windows([(a, min(a + samples, b)) for a, b in self.segments[:, :2]])[0]
 
+    def heads(self, longer: Dataset) -> np.ndarray:
+        """Which segments are the first of those of `longer`, the same samples in longer segments."""
+        return np.searchsorted(self.segments[:, 0], longer.segments[:, 0])
+
     def after(self, samples: int) -> Dataset:
         """The same recordings, before which so many samples of each have run."""
         if not samples:

@@ -16,10 +16,10 @@ from pwaid.mismatch.effects.base import Effect
 from pwaid.mismatch.fit import fit_model, fit_starts
 from pwaid.mismatch.hypotheses import (
     Hypothesis,
-    begun_whole,
     fit_shortlist,
     floor_square,
     hypothesis_of,
+    kept_on_whole,
     null_hypothesis,
     on_whole,
 )
@@ -95,14 +95,11 @@ def _promoted(problem: Problem, fitted: Sequence[Hypothesis], rival: float, jobs
     the parameters found there."""
 
     def refit(h):
-        near = h.train_error <= rival
-        coarse = fit_model(h.coarse.model, problem.coarse, problem.sigma, h.coarse.theta, problem.null_coarse.X0,
-                           problem.ranges, 20 if near else 8, 3e-4, hold_globals=not near)
-        if near:
-            return _judged_one(problem, replace(h, coarse=problem.rescanned(coarse)))
-        whole = fit_starts(coarse.model, problem.train, problem.sigma, coarse.theta, begun_whole(problem, coarse),
-                           problem.ranges)
-        return hypothesis_of(problem, whole, h.score, coarse)
+        begun = h.coarse.model, problem.coarse, problem.sigma, h.coarse.theta, problem.null_coarse.X0, problem.ranges
+        if h.train_error > rival:
+            coarse = fit_starts(*begun)
+            return hypothesis_of(problem, kept_on_whole(problem, coarse), h.score, coarse)
+        return _judged_one(problem, replace(h, coarse=problem.rescanned(fit_model(*begun, 20, 3e-4))))
 
     return _sorted(run_jobs(refit, fitted[:PROMOTED], jobs))
 
@@ -113,6 +110,7 @@ def _judged(problem: Problem, fitted: Sequence[Hypothesis], jobs: int) -> list[H
 
 
 def _judged_one(problem: Problem, h: Hypothesis) -> Hypothesis:
+    """One of them."""
     return hypothesis_of(problem, on_whole(problem, h.coarse), h.score, h.coarse)
 
 

@@ -15,8 +15,8 @@ from pwaid.mismatch.scout import part_of
 from pwaid.mismatch.screen import Screened, other_laws, run_jobs, screen
 from pwaid.mismatch.startscan import best_starts
 
-__all__ = ["Hypothesis", "begun_whole", "fit_screened", "fit_shortlist", "floor_square", "hypothesis_of", "inner_laws",
-           "joined", "mean_square", "null_hypothesis", "on_whole", "share", "without"]
+__all__ = ["Hypothesis", "fit_screened", "fit_shortlist", "floor_square", "hypothesis_of", "inner_laws", "joined",
+           "kept_on_whole", "mean_square", "null_hypothesis", "on_whole", "share", "without"]
 
 TORN = 0.3  # times the error on whole recordings: below it, segments fit far better than what they are joined to
 IDLE = 0.1  # share of the error that a second law must remove in a few steps to be fitted at all
@@ -173,7 +173,7 @@ def on_whole(problem: Problem, coarse: Fit, iterations: int = 20) -> Fit:
     if whole and not problem.stretches:
         return coarse
     fit = coarse if whole else fit_model(coarse.model, problem.train, problem.sigma, coarse.theta,
-                                         begun_whole(problem, coarse), problem.ranges, iterations, 3e-4)
+                                         _begun_whole(problem, coarse), problem.ranges, iterations, 3e-4)
     if mean_square(problem, fit, problem.train) < AT_FLOOR * floor_square(problem):
         return fit
     again = problem.restarted(fit)
@@ -190,9 +190,17 @@ def _is_whole(problem: Problem) -> bool:
     return problem.coarse.segments.shape == problem.train.segments.shape
 
 
-def begun_whole(problem: Problem, coarse: Fit) -> np.ndarray:
+def _begun_whole(problem: Problem, coarse: Fit) -> np.ndarray:
     """Start states on the training recordings: those of the segments with which they begin."""
-    return coarse.X0[np.searchsorted(problem.coarse.segments[:, 0], problem.train.segments[:, 0])]
+    return coarse.X0[problem.coarse.heads(problem.train)]
+
+
+def kept_on_whole(problem: Problem, coarse: Fit) -> Fit:
+    """The fit on the training recordings as they are judged with the parameters of the one on segments."""
+    if _is_whole(problem):
+        return coarse
+    return fit_starts(coarse.model, problem.train, problem.sigma, coarse.theta, _begun_whole(problem, coarse),
+                      problem.ranges)
 
 
 def joined(problem: Problem, fit: Fit, data: Dataset, target: Dataset, iterations: int) -> Fit:

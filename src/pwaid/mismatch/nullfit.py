@@ -86,28 +86,26 @@ class Problem:
         is sensitive, those of the whole segment end in the wrong valley."""
         if self.plant.rhs is None or follows(self, fit, data):
             return fit
-        if self.stretches:
-            return best_starts(self, fit, fit, [self.opening_starts(fit, data)], data)
-        first = data.openings(self._opening(data))
-        X0 = fit_starts(fit.model, first, self.sigma, fit.theta, self.measured(first), self.ranges, 12).X0
-        return best_starts(self, fit, fit, [X0], data)
-
-    def _opening(self, data: Dataset) -> int:
-        """Samples of the first seconds of a segment."""
-        return max(SHORTEST, int(6 * self.structure.time_scale / data.sample_time))
+        return best_starts(self, fit, fit, [self.opening_starts(fit, data)], data)
 
     def opening_starts(self, fit: Fit, data: Dataset) -> np.ndarray:
-        """Start states (segments, nx) that fit the first seconds of each segment, from the measured ones or from those
-        that fit its first samples; then three and nine times as long, since the valleys grow narrow with the length."""
-        length = self._opening(data)
-        few, first = data.openings(OPENING), data.openings(length)
-        near, begun = (fit_starts(fit.model, part, self.sigma, fit.theta, self.measured(part), self.ranges, 12)
-                       for part in (first, few))
-        X0 = best_starts(self, fit, near, [begun.X0], first).X0
+        """Start states (segments, nx) that fit the first seconds of each segment, from the measured ones; on stretches,
+        where those of the null are no help, also from ones that fit its first samples, and then three and nine times
+        as long, since the valleys grow narrow with the length."""
+        length = max(SHORTEST, int(6 * self.structure.time_scale / data.sample_time))
+        first = data.openings(length)
+        near = self._from_measured(fit, first)
+        if not self.stretches:
+            return near.X0
+        X0 = best_starts(self, fit, near, [self._from_measured(fit, data.openings(OPENING)).X0], first).X0
         longest = int(np.max(np.diff(data.segments[:, :2])))
         for longer in (n for n in (3 * length, 9 * length) if n < longest):
             X0 = fit_starts(fit.model, data.openings(longer), self.sigma, fit.theta, X0, self.ranges).X0
         return X0
+
+    def _from_measured(self, fit: Fit, data: Dataset) -> Fit:
+        """The fit's parameters with start states fitted from the measured ones."""
+        return fit_starts(fit.model, data, self.sigma, fit.theta, self.measured(data), self.ranges, 12)
 
     def rescanned(self, fit: Fit) -> Fit:
         """A fit to `coarse`, with start states that the null does not see looked for over their range.
@@ -239,8 +237,7 @@ def prepare(plant: Plant, train: Dataset, test: Dataset, input_units, output_uni
     fits, whole = (first, nominal), None
     if samples < longest:
         stable = growth * longest * train.sample_time <= UNSTABLE
-        begun = np.searchsorted(coarse.segments[:, 0], train.segments[:, 0])
-        starts = usable_starts(model, first.theta, train, mapping), first.X0[begun]
+        starts = usable_starts(model, first.theta, train, mapping), first.X0[coarse.heads(train)]
         kept = stable and _on_whole(model, train, scale, first.theta, starts, ranges)
         if kept:
             fits = kept, fit_starts(model, train, scale, theta, usable_starts(model, theta, train, mapping), ranges, 12)

@@ -202,7 +202,7 @@ def _drop_impossible(units, partner, ratio):
         if j >= 0:
             position, speed = (unit_kind(combine({}, (units[k], 1))) for k in (i, j))
             if "voltage" in (position, speed) and abs(ratio[i] - 1.0) < 1e-9:
-                position = speed = ""
+                continue
             if position in (*_SPEEDS, *_NO_MOTION) or speed in ("length", "angle", *_NO_MOTION):
                 partner[i], ratio[i] = -1, 0.0
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from pwaid.mismatch.effects.base import Effect, Quantity, push, react
 from pwaid.mismatch.effects.friction import dahl
-from pwaid.mismatch.effects.position import penetration
+from pwaid.mismatch.effects.position import BOUC_WEN, penetration
 from pwaid.mismatch.struts import struts
 
 __all__ = ["EFFECTS"]
@@ -116,10 +116,7 @@ EFFECTS = (
     Effect("hysteretic_spring", "hysteresis",
            "F = force*z between two bodies, dz/dt = (v - ((1 - shape)*|v|*sign(z) + shape*v)*|z|^order)"
            "/yield_displacement",
-           (Quantity("force", "force", 1e-3, 30.0, (0.1, 0.4)),
-            Quantity("yield_displacement", "position", 0.01, 10.0, (0.1, 0.5)),
-            Quantity("order", "1", 0.7, 3.0, (1.0, 2.0)),
-            Quantity("shape", "1", -4.0, 1.0, (0.5,), log=False)), bouc_wen, struts,
-           ("presliding_friction", "viscous_friction"), "the same amplitude at two rates: the loop's area stays",
+           BOUC_WEN, bouc_wen, struts, ("presliding_friction", "viscous_friction"),
+           "the same amplitude at two rates: the loop's area stays",
            extra_states=1, memory=True, dissipative=True, between=True, start="free"),
 )

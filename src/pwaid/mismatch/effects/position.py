@@ -8,7 +8,7 @@ from numba import njit
 
 from pwaid.mismatch.effects.base import Effect, Quantity, push
 
-__all__ = ["EFFECTS", "penetration"]
+__all__ = ["BOUC_WEN", "EFFECTS", "penetration"]
 
 
 def linear_spring(phase, t, h, x, xs, u, p, dx, ii, q):
@@ -70,6 +70,10 @@ def bouc_wen(phase, t, h, x, xs, u, p, dx, ii, q):
 
 
 _LINE = (-30.0, 30.0)
+BOUC_WEN = (Quantity("force", "force", 1e-3, 30.0, (0.1, 0.4)),
+            Quantity("yield_displacement", "position", 0.01, 10.0, (0.1, 0.5)),
+            Quantity("order", "1", 0.7, 3.0, (1.0, 2.0)),
+            Quantity("shape", "1", -4.0, 1.0, (0.5,), log=False))  # gamma/(beta + gamma), down to gamma = -0.8 beta
 EFFECTS = (
     Effect("linear_stiffness", "position", "F = stiffness * x",
            (Quantity("stiffness", "force/position", *_LINE, (0.05, 0.2, 0.6), log=False),), linear_spring,
@@ -101,11 +105,7 @@ EFFECTS = (
            "reach and hold the stop"),
     Effect("hysteretic_spring", "hysteresis",
            "F = force*z, dz/dt = (v - ((1 - shape)*|v|*sign(z) + shape*v)*|z|^order)/yield_displacement",
-           (Quantity("force", "force", 1e-3, 30.0, (0.1, 0.4)),
-            Quantity("yield_displacement", "position", 0.01, 10.0, (0.1, 0.5)),
-            Quantity("order", "1", 0.7, 3.0, (1.0, 2.0)),
-            Quantity("shape", "1", -4.0, 1.0, (0.5,), log=False)), bouc_wen,
-           lambda s: s.positions(), ("presliding_friction", "viscous_friction"),
+           BOUC_WEN, bouc_wen, lambda s: s.positions(), ("presliding_friction", "viscous_friction"),
            "the same amplitude at two rates: the loop's area stays", extra_states=1, memory=True,
            dissipative=True, start="free"),
 )
