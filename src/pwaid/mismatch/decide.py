@@ -81,11 +81,11 @@ def effective_samples(residual) -> float:
     return max(total, 4.0)
 
 
-def criterion(problem: Problem, h: Hypothesis) -> float:
-    """BIC with the effective sample size, from the mean over training and held-out error (for nested ties)."""
-    r = problem.train.Y - h.fit.Y
-    n = effective_samples(r / problem.sigma)
-    return n * np.log(max(h.train_error, 1e-300)) + h.fit.model.size * np.log(n)
+def criterion(problem: Problem, h: Hypothesis, rival: Hypothesis) -> float:
+    """BIC of h less that of a rival on the training recordings, with the smaller of their effective sample sizes."""
+    n = min(effective_samples((problem.train.Y - f.fit.Y) / problem.sigma) for f in (h, rival))
+    ratio = max(h.train_error, 1e-300) / max(rival.train_error, 1e-300)
+    return n * np.log(ratio) + (h.fit.model.size - rival.fit.model.size) * np.log(n)
 
 
 def white_bic(problem: Problem, h: Hypothesis) -> float:
@@ -239,7 +239,7 @@ def null_predictability(problem) -> np.ndarray:
 
 
 def _passing_pairs(problem, null, singles, pairs, share, t):
-    by_label = {h.label: h for h in singles}
+    by_key = {h.located[0].key: h for h in singles}
     found = []
     for h in pairs:
         if not _passes(problem, h, null, share):
@@ -247,7 +247,7 @@ def _passing_pairs(problem, null, singles, pairs, share, t):
         loud = np.all(over_floor(problem, h.test.Y, t) < t.quiet)
         if h.share < (t.pair_share if loud else t.pair_share_quiet):
             continue
-        parts = [by_label.get(e.label) for e in h.located]
+        parts = [by_key.get(e.key) for e in h.located]
         better = [p for p in parts if p is not None]
         if any(_gain(problem, p, h) < t.second_share or not _material(problem, p, h, t) for p in better):
             continue
@@ -280,7 +280,7 @@ def _better_pair(problem, best, pairs, floor, t):
 
 
 def _inside(small: Hypothesis, large: Hypothesis) -> bool:
-    """Whether `small` is `large` with one law replaced by a law it contains, at the same places."""
+    """Whether `small` is `large` with one law replaced by a law it contains or becomes, at the same places."""
     if len(small.located) != len(large.located):
         return False
     left = list(large.located)
@@ -288,7 +288,7 @@ def _inside(small: Hypothesis, large: Hypothesis) -> bool:
     for e in small.located:
         same = next((f for f in left if f.effect.id == e.effect.id and f.place.signal == e.place.signal),
                     None)
-        wider = next((f for f in left if e.effect.id in f.effect.contains
+        wider = next((f for f in left if e.effect.id in (*f.effect.contains, *f.effect.becomes)
                       and f.place.signal == e.place.signal), None)
         if same is None and wider is None:
             return False
@@ -310,13 +310,13 @@ def _prefer_smaller(problem, best, passed, t):
         whole = mean_square(problem, problem.null_test, problem.test)
         visible = (inner.test_error - best.test_error) > t.nested_share * whole
         if gain_test > t.nested_gain and gain_train > t.nested_gain and visible and criterion(
-                problem, best) < criterion(problem, inner) - 6:
+                problem, best, inner) < -6:
             return best
         best = inner
 
 
 def _name(problem, best, passed, t, rng, reasons) -> Decision:
-    """One name, or the set of those the recordings cannot tell from it."""
+    """One name, or the set of those the recordings cannot tell from it, the one with the least BIC first."""
     members = [best]
     rest = predicted_rest(problem, best, over_floor(problem, best.test.Y, t), t)
     if rest.any():
@@ -333,8 +333,9 @@ def _name(problem, best, passed, t, rng, reasons) -> Decision:
         if ratio < t.rival or wins(problem, best, h, rng) < t.wins:
             members.append(h)
     if len(members) > 1:
+        members.sort(key=lambda h: criterion(problem, h, best))
         reasons.append("rivals within the margin: " + ", ".join(h.label for h in members[1:]))
-        return Decision("one_of", best, tuple(members), tuple(passed), tuple(reasons))
+        return Decision("one_of", members[0], tuple(members), tuple(passed), tuple(reasons))
     return Decision("named", best, (best,), tuple(passed), tuple(reasons))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 from html import escape
 
-from pwaid.mismatch.summary import number, verdict_sentence
+from pwaid.mismatch.summary import interval, number, verdict_sentence
 
 __all__ = ["html_page"]
 
@@ -69,11 +69,11 @@ def _parameters(c) -> str:
     rows = []
     for e in c["effects"]:
         for name, v in e["parameters"].items():
-            rows.append([f"{e['id']}: {name}", "", number(v["value"], 5), f"{number(v['low'], 5)} to "
-                         f"{number(v['high'], 5)}", v["unit"]])
+            rows.append([f"{e['id']}: {name}", "", number(v["value"], 5), interval(v["value"], v["low"], v["high"]),
+                         v["unit"]])
     for name, v in c["parameters"].items():
-        rows.append([name, number(v["nominal"], 5), number(v["refitted"], 5), f"{number(v['low'], 5)} to "
-                     f"{number(v['high'], 5)}", ""])
+        rows.append([name, number(v["nominal"], 5), number(v["refitted"], 5),
+                     interval(v["refitted"], v["low"], v["high"]), ""])
     return _table(["parameter", "nominal", "fitted", "90 % interval", "unit"], rows, (1, 2, 3))
 
 

@@ -280,8 +280,10 @@ def fit_screened(problem: Problem, base: Fit, located: Sequence[Located], jobs: 
 
 
 def _inherited(outer: Located, values, inner: Located) -> list[np.ndarray]:
-    """A start for a contained law: each parameter the mean of those of `outer` that its name begins; none where one
-    has no such."""
+    """A start for a contained law: what `outer` says of it, or each parameter the mean of those of `outer` that its
+    name begins; none where one has no such."""
+    if inner.effect.id in outer.effect.inherit:
+        return [inner.from_physical(outer.effect.inherit[inner.effect.id](*values))]
     found = [[v for o, v in zip(outer.effect.quantities, values, strict=True) if o.name.startswith(q.name)]
              for q in inner.effect.quantities]
     return [inner.from_physical([float(np.mean(v)) for v in found])] if all(found) else []
@@ -298,5 +300,6 @@ def without(fit: Fit, dropped: Located, data: Dataset) -> Fit:
 
 
 def inner_laws(outer: Located, located: Sequence[Located]) -> list[Located]:
-    """The laws that a law contains, at the same place."""
-    return [c for c in located if c.effect.id in outer.effect.contains and c.place.signal == outer.place.signal]
+    """The laws that a law contains, or becomes at the ends of its parameters, at the same place."""
+    ids = outer.effect.contains + outer.effect.becomes
+    return [c for c in located if c.effect.id in ids and c.place.signal == outer.place.signal]

@@ -37,8 +37,8 @@ class Located:
 
     @property
     def label(self) -> str:
-        note = f" ({self.place.note})" if self.place.note else ""
-        return f"{self.effect.id} at {self.place.channel}{note}"
+        notes = ", ".join(filter(None, (self.effect.variant, self.place.note)))
+        return f"{self.effect.id} at {self.place.channel}{f' ({notes})' if notes else ''}"
 
     @property
     def key(self) -> tuple:

@@ -147,8 +147,8 @@ def parameter_entries(problem: Problem, h: Hypothesis, low, high) -> dict[str, d
 def _shares(problem, h: Hypothesis, singles) -> list[float]:
     if len(h.located) < 2:
         return [h.share]
-    alone = {s.label: s.share for s in singles}
-    first = min(max(alone.get(h.located[0].label, 0.0), 0.0), h.share)
+    alone = {s.located[0].key: s.share for s in singles}
+    first = min(max(alone.get(h.located[0].key, 0.0), 0.0), h.share)
     return [first, h.share - first]
 
 

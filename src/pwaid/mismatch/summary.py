@@ -12,6 +12,7 @@ __all__ = ["interval", "number", "plus_minus", "summary_text", "verdict_sentence
 
 WIDTH = 112
 ROWS = 6
+UNKNOWN = 1e3  # an interval this many times as wide as the value tells nothing
 
 
 def number(x: float | None, digits: int = 3) -> str:
@@ -28,6 +29,8 @@ def _digits(value: float | None, low: float | None, high: float | None) -> int:
 
 def interval(value: float | None, low: float | None, high: float | None) -> str:
     """``0.1199 to 0.12003``, with as many digits as its width beside the value supports (at least three)."""
+    if None not in (value, low, high) and high - low > UNKNOWN * abs(value) > 0.0:
+        return "not determined"
     digits = _digits(value, low, high)
     return f"{number(low, digits)} to {number(high, digits)}"
 

@@ -136,6 +136,10 @@ class Effect:
     `start`: of its extra states: "zero"; "input", what the input has been; its first one like the store it hangs on, or
     zero, and fitted in every segment: "stored", "free".
     `between`: it acts between two bodies, and depends on how one moves against the other.
+    `contains`: laws that it is with some parameters, so that they make no pair with it.
+    `becomes`: laws that it comes to at the ends of its parameters or at small amplitudes, and that may stand beside it.
+    `inherit`: by id, the parameters of such a law from its own, where their names do not tell.
+    `variant`: what tells it from another law of the same id that may act at the same place.
     """
 
     id: str
@@ -149,12 +153,15 @@ class Effect:
     extra_states: int = 0
     proximal: bool = False
     contains: tuple[str, ...] = ()
+    becomes: tuple[str, ...] = ()
+    inherit: Mapping[str, Callable] = field(default_factory=dict, compare=False)
     memory: bool = False
     dissipative: bool = False
     delays: bool = False
     reshapes: bool = False
     between: bool = False
     start: str = "zero"
+    variant: str = ""
     cached: bool = field(default=True, repr=False)
 
     def compiled(self):

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from pwaid.mismatch.effects.base import Effect, Quantity, push, react
 from pwaid.mismatch.effects.friction import dahl
-from pwaid.mismatch.effects.position import BOUC_WEN, penetration
+from pwaid.mismatch.effects.position import BOUC_WEN, BOUC_WEN_AS_DAHL, penetration
 from pwaid.mismatch.struts import struts
 
 __all__ = ["EFFECTS"]
@@ -118,5 +118,6 @@ EFFECTS = (
            "/yield_displacement",
            BOUC_WEN, bouc_wen, struts, ("presliding_friction", "viscous_friction"),
            "the same amplitude at two rates: the loop's area stays",
-           extra_states=1, memory=True, dissipative=True, between=True, start="free"),
+           extra_states=1, memory=True, dissipative=True, between=True, start="free",
+           contains=("presliding_friction",), inherit=BOUC_WEN_AS_DAHL),
 )

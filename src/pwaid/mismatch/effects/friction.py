@@ -83,9 +83,10 @@ EFFECTS = (
               Quantity("stribeck_speed", "speed", 0.003, 0.6, (0.03, 0.15))), kernel, lambda s: s.moving(),
              ("coulomb_friction", "presliding_friction"),
              "many slow crossings, sampled with at least 20 points below the Stribeck speed", proximal=True,
-             dissipative=True, contains=("coulomb_friction",))
-      for kernel, law in ((stribeck, "F = (level + excess * exp(-(v/stribeck_speed)^2)) * sign(v)"),
-                          (stribeck_of_first_order, "F = (level + excess * exp(-|v|/stribeck_speed)) * sign(v)"))),
+             dissipative=True, contains=("coulomb_friction",), variant=variant)
+      for kernel, variant, law in (
+          (stribeck, "", "F = (level + excess * exp(-(v/stribeck_speed)^2)) * sign(v)"),
+          (stribeck_of_first_order, "first order", "F = (level + excess * exp(-|v|/stribeck_speed)) * sign(v)"))),
     Effect("presliding_friction", "dry_friction", "F = stiffness*z, dz/dt = v - stiffness*|v|*z/level",
            (Quantity("level", "force", 1e-3, 5.0, (0.04, 0.2)),
             Quantity("stiffness", "force/position", 0.1, 3e3, (3.0, 30.0))), presliding,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from math import sin
+from math import cos, sin
 
 from numba import njit
 
@@ -74,6 +74,7 @@ BOUC_WEN = (Quantity("force", "force", 1e-3, 30.0, (0.1, 0.4)),
             Quantity("yield_displacement", "position", 0.01, 10.0, (0.1, 0.5)),
             Quantity("order", "1", 0.7, 3.0, (1.0, 2.0)),
             Quantity("shape", "1", -4.0, 1.0, (0.5,), log=False))  # gamma/(beta + gamma), down to gamma = -0.8 beta
+BOUC_WEN_AS_DAHL = {"presliding_friction": lambda force, displacement, order, shape: (force, force / displacement)}
 EFFECTS = (
     Effect("linear_stiffness", "position", "F = stiffness * x",
            (Quantity("stiffness", "force/position", *_LINE, (0.05, 0.2, 0.6), log=False),), linear_spring,
@@ -90,7 +91,8 @@ EFFECTS = (
            (Quantity("torque", "force", 1e-3, 30.0, (0.15,)),
             Quantity("phase", "1", -4.0, 4.0, (0.0, 1.571, 3.1416, -1.571), log=False)), gravity,
            lambda s: s.angles(), ("linear_stiffness", "position_ripple", "constant_load"),
-           "one slow turn, stopping at several angles"),
+           "one slow turn, stopping at several angles", becomes=("linear_stiffness", "constant_load"),
+           inherit={"linear_stiffness": lambda torque, phase: (torque * cos(phase),)}),
     Effect("position_ripple", "position", "F = level * sin(wavenumber*x + phase)",
            (Quantity("level", "force", 1e-3, 10.0, (0.15,)),
             Quantity("wavenumber", "1/position", 3.0, 4e4, ()),  # a period within the stroke, else it is a spring
@@ -107,5 +109,9 @@ EFFECTS = (
            "F = force*z, dz/dt = (v - ((1 - shape)*|v|*sign(z) + shape*v)*|z|^order)/yield_displacement",
            BOUC_WEN, bouc_wen, lambda s: s.positions(), ("presliding_friction", "viscous_friction"),
            "the same amplitude at two rates: the loop's area stays", extra_states=1, memory=True,
-           dissipative=True, start="free"),
+           dissipative=True, start="free", contains=("presliding_friction",),
+           becomes=("linear_stiffness", "constant_load", "coulomb_friction"),
+           inherit={**BOUC_WEN_AS_DAHL,
+                    "linear_stiffness": lambda force, displacement, order, shape: (force / displacement,),
+                    "coulomb_friction": lambda force, displacement, order, shape: (force,)}),
 )

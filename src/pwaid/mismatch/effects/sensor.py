@@ -96,5 +96,5 @@ EFFECTS = (
            lambda s: s.outputs(), ("quadratic_stiffness",), "known static positions"),
     Effect("sensor_nonlinearity", "sensor", "y = y + coefficient * y^3",
            (Quantity("coefficient", "1/output^2", -0.9, 0.9, (0.05, 0.2), log=False),), nonlinearity,
-           lambda s: s.outputs(variant=1), ("cubic_stiffness",), "known static positions"),
+           lambda s: s.outputs(variant=1), ("cubic_stiffness",), "known static positions", variant="cubic"),
 )

@@ -131,7 +131,7 @@ EFFECTS = (
     Effect("square_root_outflow", "fluid", "dh/dt = ... - coefficient*sqrt(h)",
            (Quantity("coefficient", "position^0.5/time", 1e-4, 10.0, (0.03, 0.15, 0.5)),), orifice,
            lambda s: stores(s, "fluid"), ("head_offset", "leakage"), "drain over the full range of levels",
-           dissipative=True),
+           dissipative=True, variant="another outlet"),
     Effect("head_offset", "fluid", "outflow sees h + offset",
            (Quantity("offset", "position", -0.5, 2.0, (0.05, 0.25), log=False),), head_offset,
            lambda s: stores(s, "fluid"), ("square_root_outflow", "leakage", "sensor_offset"),
