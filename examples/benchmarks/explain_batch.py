@@ -3,9 +3,9 @@
     python examples/benchmarks/explain_batch.py CASES -o RESULTS [--processes 2]
 
 Same answers as `pwaid explain` on each folder, without its page, pictures, isolability matrix and next experiment, and
-without starting Python for every case. Leave-one-effect-out cases get the ids of CASES/runs.json left out. It sees case
-folders only, never a key. Cases are taken in the order of their names, which are hashes, so that a part of the run is
-a fair sample.
+without starting Python for every case. CASES/runs.json lists the cases and the ids that each is to do without; without
+that file every folder with a case.toml is one. It sees case folders only, never a key. Cases are taken in the order of
+their names: those of the generator are hashes, so that a part of the run is a fair sample.
 """
 
 from __future__ import annotations
@@ -40,7 +40,9 @@ def main() -> None:
     parser.add_argument("-o", "--out", type=Path, required=True)
     parser.add_argument("--processes", type=int, default=2)
     args = parser.parse_args()
-    runs = json.loads((args.cases / "runs.json").read_text(encoding="utf-8"))
+    listed = args.cases / "runs.json"
+    runs = json.loads(listed.read_text(encoding="utf-8")) if listed.is_file() else {
+        f.parent.name: [] for f in args.cases.glob("*/case.toml")}
     todo = [n for n in sorted(runs) if not any((args.out / n / f).is_file() for f in ("report.json", "failure.txt"))]
     failed = 0
     with ProcessPoolExecutor(args.processes) as pool:
