@@ -136,3 +136,23 @@ def test_the_sampling_time_that_build_takes_is_no_parameter():
 
     plant = with_arguments(as_plant(build()), build, ["k"])
     assert dict(plant.parameters) == {"k": 2.0} and plant.rhs is not None
+
+
+def test_a_simulator_that_divides_by_a_flow_is_taken():
+    """No flow, no answer: a heat exchanger's derivatives are not finite at inputs of zero."""
+    def warmed(t, x, u, params):
+        flow, inlet = u
+        k = params["k"] * (flow / 0.3) ** 0.4 / (0.5 * (flow / 0.3) ** 0.4 + 0.5)
+        return np.array([(flow * (inlet - x[0]) - k * x[0] / flow * flow**0.5) / params["m"]])
+
+    system = control.nlsys(warmed, None, inputs=["w", "T_in"], states=["T"], params={"k": 0.2, "m": 1.5})
+    assert as_plant(system).rhs is not None
+    rng, time = np.random.default_rng(0), np.arange(400) * 0.5
+    found = []
+    for k in range(3):
+        U = np.column_stack([0.3 + 0.1 * np.sin(0.3 * time + k), 60 + 10 * np.sin(0.17 * time + 2 * k)])
+        Y = control.input_output_response(system, time, U.T, [20.0]).outputs.reshape(-1, 1)
+        found.append(Recording(time, U, Y + 0.05 * rng.standard_normal(Y.shape), ("w", "T_in"), ("T",), name=f"{k}"))
+    report = explain(system, found[:2], found[2:], free_parameters=["k", "m"],
+                     effects=effect_by_id("sensor_offset"), hold="first")
+    assert report.verdict == "agreement"

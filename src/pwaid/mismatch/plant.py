@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import itertools
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -268,15 +269,16 @@ def whole_or_real(make: Callable, values: Mapping) -> Plant:
         raise
 
 
-LEVELS = (0.1, 1.0, 0.0, 10.0, 100.0, 300.0, 1e3, 1e5)  # states at which a simulator may be at home
+# States, and inputs, at which a simulator may be at home: one that divides by a flow is not where none flows.
+LEVELS, PUSHED = (0.1, 1.0, 0.0, 10.0, 100.0, 300.0, 1e3, 1e5), (0.0, 1.0, 0.1, 100.0)
 
 
 def checked(plant: Plant) -> Plant:
-    """The plant compiled, after one evaluation at states of the first magnitude that works."""
+    """The plant compiled, after one evaluation at states and inputs of the first magnitudes that work."""
     failures = []
-    for level in LEVELS:
+    for pushed, level in itertools.product(PUSHED, LEVELS):
         with np.errstate(all="ignore"):
-            failures.append(_failure(plant, level))
+            failures.append(_failure(plant, level, pushed))
         if not failures[-1]:
             plant = _compile(plant, max(1.0, level))
             plant.raised.clear()  # points of these checks say nothing of the recordings
@@ -284,8 +286,8 @@ def checked(plant: Plant) -> Plant:
     raise InputError(failures[0])
 
 
-def _failure(plant: Plant, level: float) -> str:
-    """What is wrong with derivatives and outputs at states of this magnitude, or an empty text.
+def _failure(plant: Plant, level: float, pushed: float) -> str:
+    """What is wrong with derivatives and outputs at states and inputs of these magnitudes, or an empty text.
 
     Raises
     ------
@@ -293,7 +295,7 @@ def _failure(plant: Plant, level: float) -> str:
         For a result of the wrong size, which no other state mends.
     """
     nx, nu, ny = plant.sizes
-    x, u, said = np.full(nx, level), np.zeros(nu), set(plant.raised)
+    x, u, said = np.full(nx, level), np.full(nu, pushed), set(plant.raised)
     at = f"at x = {x.tolist()}, u = {u.tolist()}"
     try:
         dx = np.asarray(plant.update(0.0, x.copy(), u.copy(), plant.as_dict(plant.vector())), dtype=float).ravel()

@@ -227,7 +227,7 @@ def _proof(c: dict) -> list[str]:
             r = [number(stages[s]["rmse"]) for s in ("nominal", "refitted", "repaired")]
             p = stages["repaired"].get("whiteness_p")
             white = "" if p is None else "; residual white" if p > 0.01 else "; residual not white"
-            rows.append(f"  {recording} {output}: {r[0]} -> {r[1]} -> {r[2]} {units.get(output, '')}".rstrip()
+            rows.append(f"  {recording} {output}: {r[0]} -> {r[1]} -> {r[2]} {_plain(units.get(output, ''))}".rstrip()
                         + f"; floor {number(c['noise_floor'][output])}{white}")
     more = [f"  and {len(rows) - ROWS} more in report.json"] if len(rows) > ROWS else []
     return lines + rows[:ROWS] + more
