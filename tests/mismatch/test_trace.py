@@ -426,3 +426,22 @@ def test_a_linear_build_that_symbols_do_not_get_through_follows_its_arguments(bu
         for k in range(50):
             np.testing.assert_allclose(Y[k], other.C @ x + other.D @ data.U[k], rtol=1e-9, atol=1e-12)
             x = other.A @ x + other.B @ data.U[k]
+
+
+def test_a_simulator_that_samples_its_own_matrices_compiles():
+    def update(t, x, u, params):
+        whole = np.zeros((3, 3))
+        whole[:2, :2] = [[-params["a"], params["a"]], [40.0 * params["a"], -params["b"]]]
+        whole[1, 2] = 1.0
+        step = expm(whole * 0.5)
+        return step[:2, :2] @ x + step[:2, 2] * u[0]
+
+    names = {"a": 0, "b": 1}
+    compiled, raises = traced(update, 2, 2, 1, names, {})
+    assert not raises
+    for p in ([0.3, 4.0], [1e-9, 1e-9], [-2.0, 30.0]):
+        x, u, found = np.array([0.7, -1.2]), np.array([0.4]), np.empty(2)
+        compiled(0.0, x, u, np.array(p), found)
+        np.testing.assert_allclose(found, update(0.0, x, u, dict(zip(names, p, strict=True))), rtol=1e-11)
+    compiled(0.0, x, u, np.array([np.nan, 1.0]), found)
+    assert np.all(np.isnan(found))

@@ -60,7 +60,7 @@ def traced(function: Callable, size: int, nx: int, nu: int, names: Mapping[str, 
     writer = _Writer(tape)
     lines = writer.block(root, {}, 1)
     text = "def traced(t, x, u, p, result):\n" + "\n".join(lines)
-    space = {"np": np, "_solve": _solve_columns, "_interp": _interpolate, **writer.tables}
+    space = {"np": np, "_solve": _solve_columns, "_expm": _exponential, "_interp": _interpolate, **writer.tables}
     exec(compile(text, "<pwaid traced>", "exec"), space)
     return space["traced"], raises
 
@@ -164,8 +164,8 @@ class _Writer:
             return rest[0]
         if name == "constant":
             return self._constant(rest[1])
-        if name == "solve":
-            text = f"_solve({self._array([known[a] for a in rest])})"
+        if name in ("solve", "expm"):
+            text = f"_{name}({self._array([known[a] for a in rest])})"
         elif name == "item":
             return f"{known[rest[0]]}[{rest[1]}]"
         elif name == "interp":
@@ -227,6 +227,35 @@ def _solve_columns(entries):
             b[k] -= entries[k * n + j] * b[j]
         b[k] /= entries[k * n + k]
     return b
+
+
+@njit(error_model="numpy", nogil=True)
+def _exponential(entries):
+    """The exponential of a matrix given by rows, by rows: ten terms of its series at 2⁻ˢ of it, squared s times."""
+    n = int(np.sqrt(entries.size) + 0.5)
+    size = np.max(np.abs(entries)) * n
+    squarings = 0
+    while size > 0.1 and squarings < 60:
+        size /= 2.0
+        squarings += 1
+    small = entries.reshape(n, n) / 2.0**squarings
+    term, total = np.eye(n), np.eye(n)
+    for k in range(1, 11):
+        term = _product(term, small) / k
+        total += term
+    for _ in range(squarings):
+        total = _product(total, total)
+    return total.ravel()
+
+
+@njit(error_model="numpy", nogil=True)
+def _product(a, b):
+    found = np.zeros_like(a)
+    for i in range(a.shape[0]):
+        for j in range(a.shape[0]):
+            for k in range(a.shape[0]):
+                found[i, j] += a[i, k] * b[k, j]
+    return found
 
 
 @njit(error_model="numpy", nogil=True)

@@ -1,4 +1,4 @@
-"""NumPy, math, control.ss, control.tf and a few builtins as a function sees them while it is run on symbols.
+"""NumPy, math, scipy.linalg, control.ss, control.tf and a few builtins as a function on symbols sees them.
 
 What a user's module, its classes and closures call `np`, `math`, `sin` or `max` is replaced for the time of one run:
 functions of numbers take symbols, and arrays that are made can hold them.
@@ -21,6 +21,7 @@ from pathlib import Path
 
 import control
 import numpy as np
+import scipy.linalg
 
 from pwaid.mismatch.symbolic import (
     FUNCTIONS,
@@ -130,6 +131,18 @@ def _solution(a, b):
     tape = next(v.tape for v in entries if isinstance(v, Symbol))
     whole = tape.node("solve", *(v.node if isinstance(v, Symbol) else tape.constant(v) for v in entries))
     return [tape.symbol("item", whole, k) for k in range(len(b))]
+
+
+def _exponential(a):
+    """`scipy.linalg.expm`: a simulator that samples its own matrices."""
+    if not is_symbolic(a):
+        return scipy.linalg.expm(as_numbers(np.asarray(a)))
+    a = np.asarray(a, dtype=object)
+    if a.ndim != 2 or len(set(a.shape)) != 1:
+        raise TraceFailure("it takes the exponential of what is no square matrix")
+    tape = next(v.tape for v in a.flat if isinstance(v, Symbol))
+    whole = tape.node("expm", *(v.node if isinstance(v, Symbol) else tape.constant(v) for v in a.flat))
+    return np.array([tape.symbol("item", whole, k) for k in range(a.size)], dtype=object).reshape(a.shape)
 
 
 def _inverse(a):
@@ -265,6 +278,10 @@ def _replacements() -> dict[int, object]:
     found = {id(np): _Stand(np, _MINE | {"linalg": linalg}), id(np.linalg): linalg, id(math): _Stand(math, _MATH)}
     for module, mine in ((np, _MINE), (np.linalg, _LINALG), (math, _MATH)):
         found |= {id(getattr(module, n)): f for n, f in mine.items()}
+    matrices = _LINALG | {"expm": _exponential}
+    scipys = _Stand(scipy.linalg, matrices)
+    found |= {id(getattr(scipy.linalg, n)): f for n, f in matrices.items()}
+    found |= {id(scipy.linalg): scipys, id(scipy): _Stand(scipy, {"linalg": scipys})}
     makers = {name: _linear(getattr(control, name)) for name in ("ss", "StateSpace")}
     makers |= {name: _transfer(getattr(control, name)) for name in ("tf", "TransferFunction")}
     found |= {id(getattr(control, n)): f for n, f in makers.items()} | {id(control): _Stand(control, makers)}
