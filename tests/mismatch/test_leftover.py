@@ -10,12 +10,12 @@ from scipy.signal import lfilter
 from tests_support import TRUE, gathered, oscillator, record
 
 from pwaid.mismatch import Thresholds
-from pwaid.mismatch.adequacy import inadequate, likelihood_gain
+from pwaid.mismatch.adequacy import floor_or_trifle, inadequate, likelihood_gain, over_floor, still_explained
 from pwaid.mismatch.decide import _better_pair, _not_outdone, decide
 from pwaid.mismatch.effects.registry import effect_by_id
 from pwaid.mismatch.explain import collect
 from pwaid.mismatch.hypotheses import floor_square
-from pwaid.mismatch.leftover import leftover
+from pwaid.mismatch.leftover import Leftover, leftover
 from pwaid.mismatch.signatures import lattice
 
 
@@ -128,3 +128,15 @@ def test_a_second_law_must_be_seen_by_likelihoods_too(rubbing):
     assert _better_pair(problem, weaker, [pair], floor, Thresholds()) is pair
     unseen = replace(pair, fit=weaker.fit, test=weaker.test)
     assert _better_pair(problem, weaker, [unseen], floor, Thresholds()) is None
+
+
+def test_what_maps_explain_in_training_only_and_is_little_does_not_speak_against_a_law(rubbing):
+    evidence = gathered(rubbing, "hysteretic_spring")
+    h = evidence.singles[0]
+    square = over_floor(evidence.problem, h.test.Y, Thresholds()) * floor_or_trifle(evidence.problem, Thresholds()) ** 2
+    maps = Leftover(square, square, validated=0.6, evidence=0.0)  # nothing held out
+    part = 1.0 - h.share
+    assert 0.01 < part < 0.6
+    for acquitted, trace, refused in ((True, 2 * part, False), (True, 0.5 * part, True), (False, 2 * part, True)):
+        said = still_explained(evidence.problem, h, Thresholds(trace=trace), maps, acquitted)
+        assert ("60 % of what it leaves in training" in said) == refused, said

@@ -94,7 +94,8 @@ def still_explained(problem: Problem, h: Hypothesis, t: Thresholds, maps: Leftov
         part = 100 * float(np.max((removed / before)[found]))
         return f"maps of states and inputs still explain {part:.0f} % of what it leaves"
     judged = loud | (len(h.located) > 1)  # two laws together claim to be all there is
-    if maps.validated > t.certain and np.any(judged & (left > t.near) & (left > t.residue * null)):
+    little = (t.trace if acquitted else t.residue) * null
+    if maps.validated > t.certain and np.any(judged & (left > np.maximum(t.near, little))):
         return f"maps of states and inputs explain {100 * maps.validated:.0f} % of what it leaves in training"
     return ""
 

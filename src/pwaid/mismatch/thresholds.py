@@ -38,7 +38,8 @@ class Thresholds:
     quiet: float = 100.0  # (or noise is so small beside what is left that no simulator would do);
     left: float = 2.0  # beyond this multiple of the floor, moreover,
     left_predicted: float = 0.3  # no more of it than this may follow from the inputs,
-    trace: float = 0.05  # (unless that is less than this share of what there was to explain,)
+    trace: float = 0.05  # (unless that is less than this share of what there was to explain; the same for what maps
+    # explain to `certain` where likelihoods see nothing in it,)
     reach: float = 2.9  # no nominal parameter may have moved by more than this many tolerances,
     outgrown: float = 4.0  # and with training at the floor held-out recordings may not leave this many times more;
     outdone: float = 0.5  # no law refused so may leave less than this share of what the effect leaves
