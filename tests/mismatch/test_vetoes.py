@@ -109,3 +109,13 @@ def test_what_a_second_law_removes_must_be_as_much_as_the_noise():
     farther = replace(best, test=replace(best.test, Y=best.test.Y - 0.5 * rest))  # 1.25 times that more
     assert not _material(problem, best, closer, Thresholds())
     assert _material(problem, farther, best, Thresholds()) and _material(problem, evidence.null, best, Thresholds())
+
+
+def test_a_hysteretic_spring_without_hysteresis_is_none():
+    softening = [pushed(s, lambda x, v: -4.0 * np.tanh(2.5 * x)) for s in (1, 2, 3)]
+    recordings = softening[:2], softening[2:]
+    evidence = collect(oscillator(), *recordings, ["m", "b"], effects=effect_by_id("hysteretic_spring"))
+    h = evidence.singles[0]
+    assert h.share > 0.9 and h.values()[0][3] > 0.9  # it fits, with nothing that dissipates
+    assert "no hysteresis" in veto(evidence.problem, h)
+    assert decide(evidence.problem, evidence.null, evidence.singles, ()).verdict == "unexplained"

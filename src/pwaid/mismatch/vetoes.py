@@ -22,6 +22,9 @@ _YIELDING, _PRESSED, _REST, _LEANING = 1 / 3, 0.1, 0.01, 0.8
 # A spring whose force varies by less than this share of its mean, at a position that nothing measures, is a load.
 _SPRINGS, _CONSTANT = {"linear_stiffness": 1, "quadratic_stiffness": 2, "cubic_stiffness": 3}, 0.1
 
+# Bouc and Wen's law of this shape, gamma over beta plus gamma, or more gives back what it takes: a spring that softens.
+_ELASTIC = 0.9
+
 # A limit that the motion would pass in a smaller share of the samples clips nothing.
 _IDLE = 0.002
 
@@ -70,6 +73,8 @@ def veto(problem: Problem, h: Hypothesis) -> str:
             return f"{' and '.join(q.name for q, _ in sizes)} went to zero"
         if e.effect.id in _SPRINGS and _holds(problem, h, e):
             return "its force is as good as constant: a load"
+        if e.effect.id == "hysteretic_spring" and values[3] > _ELASTIC:
+            return "it has no hysteresis: a spring that softens"
         if e.effect.id == "position_ripple" and z[1] <= np.log(e.effect.quantities[1].low) + 1e-3:
             return "its period is as long as the stroke: no ripple"
         if e.effect.id == "sensor_saturation" and _beyond(problem, h, e, values[0]):
