@@ -406,6 +406,7 @@ def test_a_linear_build_that_symbols_do_not_get_through_follows_its_arguments(bu
     system = build()
     plant = with_arguments(as_plant(system), build, list(inspect.signature(build).parameters))
     assert plant.rhs is not None and plant.linear and set(plant.parameters) == set(inspect.signature(build).parameters)
+    assert plant.entries is not None  # an exponential, say, is taken once for every set of values, not in every step
     rng = np.random.default_rng(0)
     for factor in (1.0, 1.3):
         values = {n: factor * v for n, v in plant.parameters.items()}

@@ -66,6 +66,7 @@ def _around(plant: Plant, build: Callable, arguments: dict[str, float]) -> Plant
         return seen(t, x, u, {**others, **{n: v for n, v in params.items() if n not in arguments}})
 
     update.runs = output.runs = (build,)
+    update.linear = output.linear = plant.linear
     found = Plant(update, output, plant.state_names, plant.input_names, plant.output_names, {**arguments, **own},
                   plant.constants, dt=plant.dt, source=plant.source, linear=plant.linear, arguments=tuple(arguments))
     compiled = checked(found)

@@ -57,6 +57,8 @@ def traced(function: Callable, size: int, nx: int, nu: int, names: Mapping[str, 
 
     with replaced(function):
         root, raises = _explore(tape, once)
+    if getattr(function, "linear", False) and any(name == "expm" for name, *_ in tape.nodes):
+        raise TraceFailure("its matrices are an exponential, which is not to be taken in every step")
     writer = _Writer(tape)
     lines = writer.block(root, {}, 1)
     text = "def traced(t, x, u, p, result):\n" + "\n".join(lines)
