@@ -14,6 +14,7 @@ from pwaid.mismatch.adequacy import stretched
 from pwaid.mismatch.decide import at_floor
 from pwaid.mismatch.effects.base import Effect
 from pwaid.mismatch.fit import fit_model, fit_starts
+from pwaid.mismatch.floor import Floor
 from pwaid.mismatch.hypotheses import (
     Hypothesis,
     fit_shortlist,
@@ -43,6 +44,9 @@ LED, STRANDED = 3, 0.7  # singles whose parameters the null is tried at, and tim
 # Singles, and pairs, of a search on stretches that are promoted to all recordings; those that err DISTANT times as much
 # there (root mean square) as the best of all keep their parameters: they are no rivals, and such fits take long.
 PROMOTED, DISTANT = 8, 3.0
+BELOW = 0.8  # of the floor by repeats: no noise can be undercut so on recordings that were not fitted
+BEATEN = ("the repeated recordings differ by more than a fitted law leaves of others that it was not fitted to: the "
+          "noise floor is what it leaves")
 STOPPED = ("the time given was over before every law and pair had been tried: what is named may have rivals that were "
            "not; give more minutes to look on")
 
@@ -76,6 +80,9 @@ def gather(problem: Problem, notes: Sequence[str], catalogue: Sequence[Effect], 
     say = progress or (lambda fraction, text: None)
     small = scouted(problem)
     found = _search(small or problem, catalogue, jobs, say, settled)
+    problem = found.problem if small is None else replace(problem, floor=found.problem.floor)
+    if problem.floor.beaten:
+        notes = (*notes, BEATEN)
     singles, pairs = found.singles, found.pairs
     if small is not None and found.lower is None:
         say(0.75, f"fitting what {len(small.train.U)} samples show to all {len(problem.train.U)}")
@@ -90,6 +97,19 @@ def gather(problem: Problem, notes: Sequence[str], catalogue: Sequence[Effect], 
     if problem.late:
         notes = (*notes, STOPPED)
     return replace(found, singles=tuple(singles), pairs=tuple(pairs), notes=tuple(notes))
+
+
+def _lower_floor(problem: Problem, singles: Sequence[Hypothesis]) -> Floor | None:
+    """A floor from repeats that the best law stays below where it was not fitted, put down to what it leaves: the
+    repeats were disturbed more than the other recordings."""
+    if not problem.floor.repeated or problem.floor.beaten or not singles:
+        return None
+    best = min(singles, key=lambda h: h.test_error)
+    trained, left = (np.sqrt(np.mean((data.Y - fit.Y) ** 2, axis=0)) for data, fit in (
+        (problem.train, best.fit), (problem.test, best.test)))
+    if np.any(left > BELOW * problem.floor.level) or np.any(trained > problem.floor.level):
+        return None
+    return replace(problem.floor, level=np.maximum(trained, left), trusted=False, beaten=True)
 
 
 def _promoted(problem: Problem, fitted: Sequence[Hypothesis], rival: float, jobs: int) -> list[Hypothesis]:
@@ -127,6 +147,9 @@ def _search(problem: Problem, catalogue: Sequence[Effect], jobs: int, say: Calla
         chosen = chosen[:3]  # nothing to explain: the best few are fitted so that the report can show them
     say(0.3, f"fitting {len(chosen)} candidates")
     singles = fit_shortlist(problem, chosen, jobs)
+    lower = _lower_floor(problem, singles)
+    if lower is not None:
+        return _search(replace(problem, floor=lower), catalogue, jobs, say, settled)
     errs = bool(singles) and _errs(problem, null)
     if errs and not problem.late and problem.plant.rhs is not None and _above_floor(problem, singles):
         say(0.45, "fitting effects that the screen does not see")

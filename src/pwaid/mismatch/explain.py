@@ -202,7 +202,7 @@ def conclude(evidence: Evidence, thresholds: Thresholds | None = None, started: 
 
 
 def _repeats(groups, recordings) -> tuple[list, list[str]]:
-    """Output arrays of every group of true repeats, and a note where a group was none."""
+    """The recordings of every group of true repeats, and a note where a group was none."""
     named = {r.name: r for r in recordings}
     for name in (n for group in groups for n in group):
         if name not in named:
@@ -210,7 +210,7 @@ def _repeats(groups, recordings) -> tuple[list, list[str]]:
     found = [[named[n] for n in group] for group in groups]
     kept = [g for g in found if len(g) > 1 and _same_input(g)]
     dropped = ["repeated recordings with different inputs (a closed loop?) say nothing about the floor: not used"]
-    return [[r.outputs for r in g] for g in kept], dropped if len(kept) < len(found) else []
+    return [Dataset.from_recordings(g) for g in kept], dropped if len(kept) < len(found) else []
 
 
 def _same_input(group) -> bool:

@@ -14,11 +14,14 @@ _GAIN = {1: 2.0, 2: 6.0, 3: 20.0, 4: 70.0}  # variance of the k-th difference of
 
 @dataclass(frozen=True)
 class Floor:
-    """Noise level per output (ny,), its source, and whether it includes run-to-run disturbance."""
+    """Noise level per output (ny,), its source, whether it includes run-to-run disturbance; whether it comes of
+    repeats, and whether it was put down because a law stays below it (`pwaid.mismatch.evidence`)."""
 
     level: np.ndarray
     source: str
     trusted: bool
+    repeated: bool = False
+    beaten: bool = False
 
 
 def white_level(signal, order: int = 3) -> float:
@@ -50,7 +53,7 @@ def estimate_floor(residual, outputs, segments, output_names: Sequence[str],
     residual, outputs : (N, ny) of the nominal simulation and of the recording.
     segments : (n, 4) rows of first, last+1 sample.
     given : level per output name, trusted.
-    repeats : groups of (N, ny) output arrays recorded under the same input.
+    repeats : groups of (N, ny) arrays, what a simulation leaves of outputs recorded under the same input.
     """
     ny = outputs.shape[1]
     if given and all(n in given for n in output_names):
@@ -75,4 +78,4 @@ def estimate_floor(residual, outputs, segments, output_names: Sequence[str],
             if name in given:
                 level[k] = float(given[name])
                 source = f"given for {', '.join(given)}; otherwise {source}"
-    return Floor(level, source, trusted)
+    return Floor(level, source, trusted, repeated=bool(spread))

@@ -248,7 +248,9 @@ def prepare(plant: Plant, train: Dataset, test: Dataset, input_units, output_uni
                       f"{samples * train.sample_time:.3g} s, each with free start states",)
     null, nominal = fits
     residual = null.residual(train)
-    floor = estimate_floor(residual, train.Y, train.segments, plant.output_names, noise_floor, repeats)
+    samples = samples if train.segments.shape == coarse.segments.shape else longest
+    left = [_left_of_repeats(model, null.theta, group.cut(samples), scale, ranges, mapping) for group in repeats]
+    floor = estimate_floor(residual, train.Y, train.segments, plant.output_names, noise_floor, left)
     rms = np.sqrt(np.mean(np.clip(residual, -1e6, 1e6) ** 2, axis=0))
     sigma = np.sqrt(np.maximum(floor.level, 1e-5 * scale) ** 2 + (0.1 * rms) ** 2)
     null = fit_model(model, train, sigma, null.theta, null.X0, ranges, 20)
@@ -298,6 +300,16 @@ def _diverging(Y) -> tuple[str, ...]:
         raise InputError("the simulation diverges from every start state; check signs and units of the simulator, and "
                          "whether a sensor or a force has a constant offset that the simulator knows nothing of")
     return (f"the nominal simulation diverges on {100 * share:.0f} % of the samples before refitting",) if share else ()
+
+
+def _left_of_repeats(model, theta, group: Dataset, scale, ranges, mapping) -> list[np.ndarray]:
+    """What the refitted simulator leaves of each recording under one input, its start states fitted: repeats that begin
+    differently differ by more than noise. A black box begins as it does."""
+    left = group.Y
+    if model.settings.plant.black_box is None:
+        X0 = usable_starts(model, theta, group, mapping)
+        left = fit_starts(model, group, scale, theta, X0, ranges, 12).residual(group)
+    return [left[a:b] for a, b in group.recordings]
 
 
 def _rough_structure(plant, train, input_units, output_units, free):
