@@ -9,7 +9,7 @@ import numpy as np
 from pwaid.mismatch.effects.base import Place
 from pwaid.mismatch.structure import Structure
 
-__all__ = ["cascades", "neighbours", "outlets", "sloped_outlets", "stores"]
+__all__ = ["cascades", "neighbours", "outlets", "own_outlets", "stores"]
 
 STEP = 1e-4  # relative change of a parameter
 # what makes a temperature in it absolute
@@ -83,8 +83,9 @@ def outlets(s: Structure) -> list[Place]:
     return places
 
 
-def sloped_outlets(s: Structure) -> list[Place]:
-    """A place for every parameter k that acts as the flow k*h or k*sqrt(h) out of a store whose area depends on h.
+def own_outlets(s: Structure) -> list[Place]:
+    """A place for every parameter k that acts as the flow k*h or k*sqrt(h) out of a store whose rate depends on h in
+    another way too: its area does, or another flow.
 
     The area shows in how much an input raises the level; the constant is the power of h in the flow.
     """
@@ -117,9 +118,9 @@ def _change(s: Structure, x, u, p, n: int) -> np.ndarray:
 
 
 def _power(s: Structure, i: int, n: int, points) -> float | None:
-    """The power, 0.5 or 1, of level i in the flow that parameter n scales, where the store's area depends on the level;
-    None where there is no such, or no input that shows the area."""
-    p, found, sloped = s.plant.vector(), [], False
+    """The power, 0.5 or 1, of level i in the flow that parameter n scales, where the area or another flow depends
+    on the level; None where there is no such, or no input that shows the area."""
+    p, found, other = s.plant.vector(), [], False
     for x, u in points:
         high, low = x.copy(), x.copy()
         high[i], low[i] = s.high[i], 0.5 * s.high[i]
@@ -128,10 +129,11 @@ def _power(s: Structure, i: int, n: int, points) -> float | None:
         if not s.high[i] > 0.0 or max(flow) >= 0.0 or min(fill) <= 0.0:
             return None
         area = fill[1] / fill[0]
-        sloped |= abs(area - 1.0) > 1e-3
+        rest = [s.plant.derivative(z, u)[i] - f / (2 * STEP) for z, f in zip((high, low), flow, strict=True)]
+        other |= abs(area - 1.0) > 1e-3 or abs(rest[0] - rest[1]) > 1e-3 * abs(flow[0]) / (2 * STEP)
         found.append(np.log2(flow[0] / flow[1] * area))
     power = next((q for q in (0.5, 1.0) if np.allclose(found, q, atol=1e-3)), None)
-    return power if sloped else None
+    return power if other else None
 
 
 def _fill(s: Structure, x, i: int) -> float:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import sqrt
 
 from pwaid.mismatch.effects.base import Effect, Quantity
-from pwaid.mismatch.vessels import cascades, neighbours, outlets, sloped_outlets, stores
+from pwaid.mismatch.vessels import cascades, neighbours, outlets, own_outlets, stores
 
 __all__ = ["EFFECTS"]
 
@@ -143,7 +143,7 @@ EFFECTS = (
            "drain to empty"),
     Effect("head_offset", "fluid", "flow through one outlet sees h + offset",
            (Quantity("offset", "position", -0.5, 2.0, (0.05, 0.25), log=False),), head_offset_of_outlet,
-           sloped_outlets, ("square_root_outflow", "leakage", "sensor_offset"), "drain to empty"),
+           own_outlets, ("square_root_outflow", "leakage", "sensor_offset"), "drain to empty"),
     Effect("leakage", "fluid", "dx/dt = ... - coefficient*x",
            (Quantity("coefficient", "1/time", 1e-4, 10.0, (0.03, 0.15, 0.5)),), leak,
            lambda s: stores(s, "fluid"),
