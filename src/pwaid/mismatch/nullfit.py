@@ -303,12 +303,15 @@ def _diverging(Y) -> tuple[str, ...]:
 
 
 def _left_of_repeats(model, theta, group: Dataset, scale, ranges, mapping) -> list[np.ndarray]:
-    """What the refitted simulator leaves of each recording under one input, its start states fitted: repeats that begin
-    differently differ by more than noise. A black box begins as it does."""
+    """What the simulator, refitted to them, leaves of recordings under one input: repeats that begin differently differ
+    by more than noise. A black box begins as it does."""
     left = group.Y
     if model.settings.plant.black_box is None:
         X0 = usable_starts(model, theta, group, mapping)
-        left = fit_starts(model, group, scale, theta, X0, ranges, 12).residual(group)
+        near = fit_starts(model, group, scale, theta, X0, ranges, 12)
+        rms = np.sqrt(np.mean(np.clip(near.residual(group), -1e6, 1e6) ** 2, axis=0))
+        sigma = rms + 1e-5 * scale  # fine enough that data outweigh tolerances
+        left = fit_model(model, group, sigma, theta, near.X0, ranges, 20).residual(group)
     return [left[a:b] for a, b in group.recordings]
 
 
