@@ -11,7 +11,7 @@ import control
 import numpy as np
 import numpy.linalg as la
 import pytest
-from scipy.linalg import expm
+from scipy.linalg import expm, solve
 
 from pwaid.mismatch.built import with_arguments
 from pwaid.mismatch.compile_rhs import CompileFailure, compiled_pair
@@ -446,3 +446,15 @@ def test_a_simulator_that_samples_its_own_matrices_compiles():
         np.testing.assert_allclose(found, update(0.0, x, u, dict(zip(names, p, strict=True))), rtol=1e-11)
     compiled(0.0, x, u, np.array([np.nan, 1.0]), found)
     assert np.all(np.isnan(found))
+
+
+def test_what_scipy_solves_with_options_stays_with_scipy_and_symbols_are_eliminated():
+    def update(t, x, u, params):
+        fixed = solve(2.0 * np.eye(2), np.array([4.0, 6.0]), assume_a="pos")
+        mass = np.array([[params["m"], 0.5], [0.5, 2.0]])
+        return solve(mass, np.array([u[0] - x[0], fixed[1] * x[1]]))
+
+    compiled, _ = traced(update, 2, 2, 1, {"m": 0}, {})
+    x, u, found = np.array([0.3, -0.8]), np.array([1.5]), np.empty(2)
+    compiled(0.0, x, u, np.array([3.0]), found)
+    np.testing.assert_allclose(found, update(0.0, x, u, {"m": 3.0}), rtol=1e-12)

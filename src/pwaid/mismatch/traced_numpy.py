@@ -134,15 +134,24 @@ def _solution(a, b):
 
 
 def _exponential(a):
-    """`scipy.linalg.expm`: a simulator that samples its own matrices."""
-    if not is_symbolic(a):
-        return scipy.linalg.expm(as_numbers(np.asarray(a)))
+    """`scipy.linalg.expm` of symbols: a simulator that samples its own matrices."""
     a = np.asarray(a, dtype=object)
     if a.ndim != 2 or len(set(a.shape)) != 1:
         raise TraceFailure("it takes the exponential of what is no square matrix")
     tape = next(v.tape for v in a.flat if isinstance(v, Symbol))
     whole = tape.node("expm", *(v.node if isinstance(v, Symbol) else tape.constant(v) for v in a.flat))
     return np.array([tape.symbol("item", whole, k) for k in range(a.size)], dtype=object).reshape(a.shape)
+
+
+def _of_symbols(original: Callable, mine: Callable) -> Callable:
+    """A function of arrays, done by `mine` where one holds symbols."""
+
+    def either(*arguments, **options):
+        if not options and any(is_symbolic(a) for a in arguments):
+            return mine(*arguments)
+        return original(*(as_numbers(a) for a in arguments), **options)
+
+    return either
 
 
 def _inverse(a):
@@ -278,7 +287,7 @@ def _replacements() -> dict[int, object]:
     found = {id(np): _Stand(np, _MINE | {"linalg": linalg}), id(np.linalg): linalg, id(math): _Stand(math, _MATH)}
     for module, mine in ((np, _MINE), (np.linalg, _LINALG), (math, _MATH)):
         found |= {id(getattr(module, n)): f for n, f in mine.items()}
-    matrices = _LINALG | {"expm": _exponential}
+    matrices = {n: _of_symbols(getattr(scipy.linalg, n), f) for n, f in (_LINALG | {"expm": _exponential}).items()}
     scipys = _Stand(scipy.linalg, matrices)
     found |= {id(getattr(scipy.linalg, n)): f for n, f in matrices.items()}
     found |= {id(scipy.linalg): scipys, id(scipy): _Stand(scipy, {"linalg": scipys})}
