@@ -127,10 +127,14 @@ def _solve(a, b):
 
 
 def _solution(a, b):
-    entries = [*a.flat, *b]
+    return _items("solve", [*a.flat, *b], len(b))
+
+
+def _items(name: str, entries, count: int) -> list[Symbol]:
+    """The `count` numbers that one operation on all of these entries gives."""
     tape = next(v.tape for v in entries if isinstance(v, Symbol))
-    whole = tape.node("solve", *(v.node if isinstance(v, Symbol) else tape.constant(v) for v in entries))
-    return [tape.symbol("item", whole, k) for k in range(len(b))]
+    whole = tape.node(name, *(v.node if isinstance(v, Symbol) else tape.constant(v) for v in entries))
+    return [tape.symbol("item", whole, k) for k in range(count)]
 
 
 def _exponential(a):
@@ -138,9 +142,7 @@ def _exponential(a):
     a = np.asarray(a, dtype=object)
     if a.ndim != 2 or len(set(a.shape)) != 1:
         raise TraceFailure("it takes the exponential of what is no square matrix")
-    tape = next(v.tape for v in a.flat if isinstance(v, Symbol))
-    whole = tape.node("expm", *(v.node if isinstance(v, Symbol) else tape.constant(v) for v in a.flat))
-    return np.array([tape.symbol("item", whole, k) for k in range(a.size)], dtype=object).reshape(a.shape)
+    return np.array(_items("expm", list(a.flat), a.size), dtype=object).reshape(a.shape)
 
 
 def _of_symbols(original: Callable, mine: Callable) -> Callable:
