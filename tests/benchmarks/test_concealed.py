@@ -9,6 +9,7 @@ import re
 import sys
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -236,3 +237,13 @@ def test_later_sets_leave_out_other_effects_under_other_conditions():
     assert set.union(*later) == set(IDS)
     seen = [{r.effects[0][0]: r.excitation for r in drawn("single", "hard", turn, 42)} for turn in (0, 1, 2)]
     assert all(len({s[i] == "closed_loop" for s in seen}) == 2 or len({s[i] for s in seen}) > 1 for i in IDS)
+
+
+@pytest.mark.parametrize(("truth", "gone"), [
+    ("asymmetric_coulomb_friction", {"constant_load"}),
+    ("presliding_friction", {"hysteretic_spring"}),
+    ("coulomb_friction", {"presliding_friction", "stribeck_friction", "hysteretic_spring"})])
+def test_laws_that_are_the_truth_in_other_words_are_left_out_with_it(truth, gone):
+    plant = SimpleNamespace(name="two_link_arm", velocity="w", position=0)
+    case = SimpleNamespace(drawn=[SimpleNamespace(id=truth)], measured=("q", "w"), plant=plant)
+    assert gone | {truth} <= set(classes.left_out_ids(case))

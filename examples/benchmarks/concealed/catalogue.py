@@ -25,13 +25,19 @@ FAMILIES = {
 FAMILY = {effect: family for family, members in FAMILIES.items() for effect in members}
 IDS = tuple(FAMILY)
 
-# Laws that contain another one as a special case: taken out together in leave-one-effect-out runs.
+RICHER_FRICTION = ("asymmetric_coulomb_friction", "stribeck_friction", "presliding_friction",
+                   "load_dependent_friction")
+
+# Laws that contain another one as a special case: taken out together in leave-one-effect-out runs. Dahl's friction is
+# Bouc and Wen's law without the linear spring.
 CONTAINED_IN = {
-    "coulomb_friction": ("asymmetric_coulomb_friction", "stribeck_friction", "presliding_friction",
-                         "load_dependent_friction"),
+    "coulomb_friction": (*RICHER_FRICTION, "hysteretic_spring"), "presliding_friction": ("hysteretic_spring",),
     "viscous_friction": ("asymmetric_viscous_friction",),
     "linear_stiffness": ("hysteretic_spring", "presliding_friction"),
     "gravity_torque": ("position_ripple",), "compliance": ("backlash",),
 }
+
+# What a simpler law of the catalogue needs beside it to be the very same law: taken out too.
+COMPLETED_BY = {"asymmetric_coulomb_friction": ("constant_load",)}
 
 THRESHOLDS = ("actuator_saturation", "actuator_rate_limit", "end_stop", "sensor_saturation", "overflow")

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from concealed.case import STRANGERS, Recipe, Rejected, build
-from concealed.catalogue import CONTAINED_IN, FAMILY, IDS, THRESHOLDS
+from concealed.catalogue import COMPLETED_BY, CONTAINED_IN, FAMILY, IDS, THRESHOLDS
 from concealed.plants import PLANTS
 from concealed.seeds import turn_of
 from concealed.visibility import measure
@@ -240,8 +240,8 @@ def _is_speed(case):
 
 
 def left_out_ids(case):
-    """Ids left out of the catalogue: the truth, its doubles, and the laws that contain it."""
+    """Ids left out of the catalogue: the truth, its doubles, the laws that contain it, and what makes it of others."""
     out = []
     for d in case.drawn:
-        out += [d.id, *CONTAINED_IN.get(d.id, ()), *equivalents(case)[d.id]]
+        out += [d.id, *CONTAINED_IN.get(d.id, ()), *COMPLETED_BY.get(d.id, ()), *equivalents(case)[d.id]]
     return out

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from concealed import vector
-from concealed.catalogue import CONTAINED_IN
+from concealed.catalogue import RICHER_FRICTION
 from concealed.drawn import Drawn
 from concealed.refit import refit
 
@@ -49,7 +49,7 @@ def measure(case):
         held = refit(case.plant, fit.p, e, case.free, test, case.sigma, case.measured, hold=hold, move=False)
         name = d.id if isinstance(d, Drawn) else "everything"
         case.margins[name] = fit.ratio()
-        if name in CONTAINED_IN["coulomb_friction"]:
+        if name in RICHER_FRICTION:
             start = dict.fromkeys(("level_positive", "level_negative"), _sliding_level(case, d))
             rival = vector.with_values(e, start)
             case.nested[name] = refit(case.plant, p, rival, case.free, train, case.sigma, case.measured,
