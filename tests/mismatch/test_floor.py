@@ -46,6 +46,16 @@ def test_a_reading_that_rarely_changes_has_the_floor_of_its_rounding():
         assert found.level[0] == pytest.approx(level)
 
 
+def test_a_floor_that_is_given_for_one_output_does_not_come_of_repeats_alone():
+    rng = np.random.default_rng(0)
+    outputs = rng.normal(size=(400, 2))
+    segments, repeats = np.array([[0, 200, 0, 200], [200, 400, 200, 400]]), [[outputs[:200], outputs[200:]]]
+    alone, beside = (estimate_floor(outputs, outputs, segments, ["x", "v"], given, repeats)
+                     for given in (None, {"v": 3.0}))
+    assert alone.repeated and not beside.repeated
+    assert beside.level[0] == alone.level[0] and beside.level[1] == 3.0
+
+
 def swung(seed: int, beginning: float, disturbed: float = 0.0, cubic: float = 0.0) -> Recording:
     """The oscillator under one input from another displacement at rest, 5 mm of noise and a slow disturbing force."""
     rng, t, dt = np.random.default_rng(seed), 0.02 * np.arange(900), 0.001

@@ -15,7 +15,7 @@ _GAIN = {1: 2.0, 2: 6.0, 3: 20.0, 4: 70.0}  # variance of the k-th difference of
 @dataclass(frozen=True)
 class Floor:
     """Noise level per output (ny,), its source, whether it includes run-to-run disturbance; whether it comes of
-    repeats, and whether it was put down because a law stays below it (`pwaid.mismatch.evidence`)."""
+    repeats alone, and whether it was put down because a law stays below it (`pwaid.mismatch.evidence`)."""
 
     level: np.ndarray
     source: str
@@ -78,4 +78,4 @@ def estimate_floor(residual, outputs, segments, output_names: Sequence[str],
             if name in given:
                 level[k] = float(given[name])
                 source = f"given for {', '.join(given)}; otherwise {source}"
-    return Floor(level, source, trusted, repeated=bool(spread))
+    return Floor(level, source, trusted, repeated=bool(spread) and not given)
