@@ -138,6 +138,27 @@ def test_a_gear_scales_a_law_between_motor_and_load():
     np.testing.assert_allclose(got, want, rtol=1e-4, atol=1e-6)
 
 
+def ball_screw():
+    """A motor that moves a table by a screw of 2 mm per radian."""
+    def update(t, x, u, params):
+        force = 4e3 * (0.002 * x[0] - x[2])
+        return np.array([x[1], (u[0] - 0.002 * force) / params["j"], x[3], (force - 2.0 * x[3]) / params["m"]])
+    return control.nlsys(update, lambda t, x, u, params: x[[0, 2]], inputs=["T"], outputs=["y1", "y2"],
+                         states=["theta", "omega", "x", "v"], params={"j": 1e-3, "m": 10.0})
+
+
+def test_what_acts_behind_a_screw_has_the_units_of_the_table():
+    plant, rng = as_plant(ball_screw()), np.random.default_rng(0)
+    states = rng.normal(size=(64, 4)) * [1.0, 1.0, 2e-3, 2e-3]
+    s = find_structure(plant, states, DATA.U, np.repeat(DATA.Y, 2, axis=1), ["N m"], ["rad", "m"], DATA.sample_time,
+                       6.0, ())
+    (gap,) = (e for e in locate_effects(effect_by_id("backlash"), s) if e.place.signal == "theta-x")
+    assert gap.units() == ["m"]
+    (spring,) = (e for e in locate_effects(effect_by_id("cubic_stiffness"), s) if e.effect.between)
+    assert spring.units() == ["N/m^3"]
+    assert spring.place.scales["force"] == pytest.approx(500.0 * s.force_scale[1])
+
+
 def _ride(seed: int, law) -> Recording:
     """A quarter car over a road, with a law between body and wheel."""
     rng, samples, dt, fine = np.random.default_rng(seed), 1200, 0.02, 20

@@ -23,8 +23,9 @@ def shafts(s: Structure) -> list[Place]:
         names = [s.plant.state_names[xa], s.plant.state_names[xb]]
         constants = (gear, float(s.ratio[xb]), float(s.ratio[xa]),
                      *_damped(s, a, b, s.ratio[xa] / gear, -s.ratio[xb]))
+        side = xa if counted(a, b, (1.0 / gear, -1.0)) == a else xb
         places.append(s.place("state", "-".join(names), names, ii, v=a, x=xa, scales={"position": twist},
-                              constants=constants))
+                              constants=constants, units={"position": s.state_units[side]}))
     return places
 
 
@@ -47,8 +48,15 @@ def twists(s: Structure) -> list[Place]:
         ii[4], ii[5], ii[6] = a, z, b
         places.append(s.place("state", s.plant.state_names[z], [s.plant.state_names[z]], ii, v=a,
                               scales={"position": s.reach(z)}, constants=(*weights, *_damped(s, a, b, *weights)),
-                              units={"position": _travel(s, a)}))
+                              units={"position": _travel(s, counted(a, b, weights))}))
     return places
+
+
+def counted(a: int, b: int, weights) -> int:
+    """The one of two speeds that counts as it is, not by a gear, in what turns or moves one against the other; a where
+    both do. What acts there has its units."""
+    off_a, off_b = (abs(abs(w) - 1.0) for w in weights)
+    return a if off_a <= off_b else b
 
 
 def single_masses(s: Structure) -> list[Place]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pwaid.mismatch.effects.base import Place
-from pwaid.mismatch.shafts import coupled, twisted_by
+from pwaid.mismatch.shafts import counted, coupled, twisted_by
 from pwaid.mismatch.structure import SIDES, Structure, side_span
 
 __all__ = ["struts"]
@@ -45,10 +45,28 @@ def struts(s: Structure, sides: bool = False) -> list[Place]:
             ii[5], ii[9], ii[6], ii[7], ii[8], ii[10], ii[11] = *joint.positions, joint.b, mode, target, side, inertia
             places.append(s.place(
                 "state", "-".join(names), names, ii, v=joint.a, x=joint.positions[0],
-                scales={"position": reach, "speed": speed}, levels={"position": side_span(side, low, high)},
+                scales={"position": reach, "speed": speed,
+                        "force": s.force_scale.get(joint.a, 1.0) / abs(joint.forces[0])},
+                units=_units(s, joint), levels={"position": side_span(side, low, high)},
                 constants=(*joint.weights, *joint.rates, *joint.forces),
                 note=SIDES[side] if sides else ""))
     return places
+
+
+def _units(s: Structure, joint: _Joint) -> dict[str, dict]:
+    """Units of the relative position, its rate and the relative force: those of the body that counts as it is. A force
+    per inertia of one body has no unit in those of another."""
+    side = counted(joint.a, joint.b, joint.rates)
+    position = joint.positions[0 if side == joint.a else 1]
+    known = side == joint.a or (_has_inertia(s, joint.a) and _has_inertia(s, side))
+    return {"position": s.state_units[position], "speed": s.state_units[side],
+            "force": s.force_units.get(side, {}) if known else {}}
+
+
+def _has_inertia(s: Structure, v: int) -> bool:
+    """Whether a force on a speed enters as one: through an input, or over an inertia that is a parameter."""
+    mode, _, inertia = s.entry[v]
+    return mode != 1 or inertia >= 0
 
 
 def _joints(s: Structure) -> list[_Joint]:
