@@ -20,7 +20,7 @@ from pwaid.mismatch.model import Model, Settings
 from pwaid.mismatch.plant import as_plant
 from pwaid.mismatch.symbolic import Tape, TraceFailure
 from pwaid.mismatch.trace import MOST_PATHS, traced
-from pwaid.mismatch.traced_numpy import replaced
+from pwaid.mismatch.traced_scopes import replaced
 
 DEFAULTS = {"m": 2.0, "b": 0.3, "k": 5.0}
 PLACE, FORCE = np.array([-1.0, 0.0, 0.5, 2.0]), np.array([-2.0, 0.0, 0.3, 4.0])

@@ -12,7 +12,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-__all__ = ["FUNCTIONS", "Symbol", "Tape", "TraceFailure", "apply", "by_name", "elementwise", "is_symbolic"]
+__all__ = ["FUNCTIONS", "Symbol", "Tape", "TraceFailure", "apply", "as_numbers", "by_name", "elementwise",
+           "is_symbolic"]
 
 
 LONGEST = 200  # decisions on one way through: beyond it a loop waits for a number
@@ -108,6 +109,13 @@ def is_symbolic(value) -> bool:
     if isinstance(value, list | tuple):
         return any(is_symbolic(v) for v in value)
     return isinstance(value, Symbol)
+
+
+def as_numbers(value):
+    """An array of objects that are all numbers, as floats; anything else as it came."""
+    if isinstance(value, np.ndarray) and value.dtype == object and not is_symbolic(value):
+        return value.astype(float)
+    return value
 
 
 def apply(name: str, *arguments):

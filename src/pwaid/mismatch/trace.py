@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 
 from pwaid.mismatch.symbolic import FUNCTIONS, Symbol, Tape, TraceFailure
-from pwaid.mismatch.traced_numpy import catches, replaced
+from pwaid.mismatch.traced_scopes import catches, replaced
 
 __all__ = ["traced"]
 
