@@ -17,8 +17,8 @@ from pwaid.mismatch.hypotheses import hypothesis_of, null_hypothesis
 from pwaid.mismatch.inputs import proposals
 from pwaid.mismatch.isolability import ALIKE, isolability, leading, nested
 from pwaid.mismatch.model import Model
-from pwaid.mismatch.nullfit import prepare
 from pwaid.mismatch.plant import as_plant
+from pwaid.mismatch.prepare import prepare
 from pwaid.mismatch.refit import Refitter, noise_of, times_noise
 from pwaid.mismatch.screen import locate_effects, screen
 

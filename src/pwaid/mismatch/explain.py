@@ -34,8 +34,8 @@ from pwaid.mismatch.effects.registry import CATALOGUE, effect_by_id
 from pwaid.mismatch.evidence import Evidence, gather
 from pwaid.mismatch.hygiene import hygiene, with_feedback
 from pwaid.mismatch.locate import locate
-from pwaid.mismatch.nullfit import prepare
 from pwaid.mismatch.plant import as_plant
+from pwaid.mismatch.prepare import prepare
 from pwaid.mismatch.report import Report, build_report, write_report
 from pwaid.mismatch.thresholds import Thresholds
 from pwaid.recording import Recording
