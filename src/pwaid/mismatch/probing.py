@@ -7,20 +7,17 @@ outputs and spread along the kinematic chain.
 
 from __future__ import annotations
 
-import itertools
-import math
-
 import numpy as np
 
 from pwaid.errors import InputError
+from pwaid.mismatch.entries import STEPPED, force_entries
 from pwaid.mismatch.plant import Plant
 from pwaid.mismatch.structure import OutputMap, Structure, drawn_point, on_line, two_terms, weights_of
-from pwaid.mismatch.units import KNOWN, combine, factor_of, parse_unit, scaled_unit, unit_kind
+from pwaid.mismatch.units import combine, parse_unit, scaled_unit, unit_kind
 
 __all__ = ["find_structure"]
 
 VISITED = 500  # states kept
-STEPPED = 5e-3  # of the largest rate: what a step of a discrete simulator adds to a relation of its equations
 _SPEEDS = ("speed", "angular_speed")
 _NO_MOTION = ("current", "voltage", "charge", "temperature", "force", "torque", "pressure", "flow", "acceleration")
 _NAMES = {
@@ -84,16 +81,16 @@ def find_structure(plant: Plant, states, inputs, outputs, input_units, output_un
             if kinds[i] == kind and not units[i]:
                 units[i] = known
     visited, least, most = _joined_motion(points, states, kinds, low, high)
-    entry, scale, funits, iunits, mobility = _force_entries(plant, kinds, visited, least, most, rms_u,
-                                                            input_units, units)
+    forces = force_entries(plant, kinds, visited, (least, most), rms_u, input_units, units)
     dy = np.diff(outputs, axis=0) / sample_time
     active = np.std(outputs, axis=0) > 0
     ratios = np.std(outputs, axis=0)[active] / np.maximum(np.std(dy, axis=0)[active], 1e-300)
     time_scale = float(np.clip(np.median(ratios) if ratios.size else 1.0, 2 * sample_time, length / 4))
     return Structure(
-        plant, tuple(kinds), partner, ratio, entry, scale, tuple(units), funits, iunits, low, high, rms_u,
+        plant, tuple(kinds), partner, ratio, forces.entry, forces.scale, tuple(units), forces.units,
+        forces.inertia_units, low, high, rms_u,
         *input_range, in_units, np.min(outputs, axis=0),
-        np.max(outputs, axis=0), out_units, shown, time_scale, float(length), tuple(free), mobility,
+        np.max(outputs, axis=0), out_units, shown, time_scale, float(length), tuple(free), forces.mobility,
         _hook_scale(plant, inputs, outputs), states[::max(1, len(states) // VISITED)])
 
 
@@ -301,125 +298,3 @@ def _guess_stores(kinds, plant, points, high):
             moving = "velocity" in kinds
             kinds[i] = decided.pop() if len(decided) == 1 else ("store" if not decided and not moving else "unknown")
             decided = {k for k in kinds if k in ("fluid", "thermal")}
-
-
-def _collocated(gain, speeds, forces) -> dict[int, int]:
-    """The input that works on each speed, where coupled inertias let every input accelerate every speed.
-
-    A force and the speed it works on are conjugate: with inputs in that order the accelerations per force are the
-    inverse of the inertia matrix, symmetric and positive definite. Empty where no order makes them so.
-    """
-    n = len(speeds)
-    if not 2 <= n <= min(4, len(forces)):
-        return {}
-    best, found = 0.02, {}
-    for order in itertools.permutations(forces, n):
-        B = gain[np.ix_(speeds, order)]
-        if np.linalg.norm(B - B.T) <= best * np.linalg.norm(B) and np.all(np.linalg.eigvalsh(B + B.T) > 0):
-            best, found = np.linalg.norm(B - B.T) / np.linalg.norm(B), dict(zip(speeds, order, strict=True))
-    return found
-
-
-def _driven(plant, kinds, points, gain) -> np.ndarray:
-    """Whether each input works on each speed's own coordinate (nx, nu): 1 yes, -1 no, 0 where that does not show.
-
-    With coupled inertias an input accelerates several speeds. The joint it works on is the one whose own damping
-    accelerates them all in the same proportion, at every position; at rest nothing else depends on a speed.
-    """
-    speeds = [i for i, kind in enumerate(kinds) if kind == "velocity"]
-    found = np.zeros(gain.shape, dtype=int)
-    if len(speeds) < 2:
-        return found
-    still = [(x.copy(), np.zeros_like(u)) for x, u in points]
-    for x, _ in still:
-        x[speeds] = 0.0
-    base = np.array([plant.derivative(x, u)[speeds] for x, u in still])
-    damping = np.array([[plant.derivative(x + np.eye(len(x))[i] * 1e-6, u)[speeds] for x, u in still]
-                        for i in speeds]) - base
-    for j in range(gain.shape[1]):
-        push = np.array([plant.derivative(x, u + np.eye(len(u))[j] * 1e-6)[speeds] for x, u in still]) - base
-        if np.sum(np.max(np.abs(push), axis=0) > 1e-9 * np.max(np.abs(push))) < 2:
-            continue  # it accelerates one speed only
-        for i, own in zip(speeds, damping, strict=True):
-            size = np.linalg.norm(own, axis=1) * np.linalg.norm(push, axis=1)
-            if np.all(size > 0):
-                found[i, j] = 1 if np.all(np.abs(np.sum(own * push, axis=1)) > (1 - 1e-5) * size) else -1
-    return found
-
-
-def _is_time_constant(plant, i, k, points) -> bool:
-    """Whether parameter k times the rate of state i is minus the state and more, whatever the other parameters are:
-    what acts on it then has the unit of the state."""
-    p = plant.vector()
-    others = p * (1.1 + 0.1 * np.arange(len(p)))
-    others[k] = p[k]
-    for q, (x, u) in itertools.product((p, others), points[:4]):
-        step = np.zeros(len(x))
-        step[i] = 1e-3 * max(abs(x[i]), 1e-3)
-        slope = (plant.derivative(x + step, u, q) - plant.derivative(x - step, u, q))[i] / (2 * step[i])
-        if not abs(p[k] * slope + 1.0) < 1e-6:
-            return False
-    return True
-
-
-def _force_entries(plant, kinds, points, low, high, rms_u, input_units, units):
-    entry, scale, funits, iunits, mobility = {}, {}, {}, {}, {}
-    p = plant.vector()
-    base = np.array([plant.derivative(x, u) for x, u in points])
-    halves = {}
-    for k in range(len(plant.parameters)):
-        q = p.copy()
-        q[k] *= 2.0
-        if q[k] != p[k]:
-            halves[k] = np.array([plant.derivative(x, u, q) for x, u in points])
-    nu = plant.sizes[1]
-    gain = np.zeros((len(kinds), nu))
-    affine = np.ones((len(kinds), nu), dtype=bool)
-    for j in range(nu):
-        columns = []
-        for x, u in points:
-            d = np.zeros(nu)
-            d[j] = max(rms_u[j], 1e-9)
-            columns.append((plant.derivative(x, u + d) - plant.derivative(x, u)) / d[j])
-        columns = np.array(columns)
-        gain[:, j] = np.mean(columns, axis=0)
-        affine[:, j] = np.all(columns > 1e-12, axis=0) | np.all(columns < -1e-12, axis=0)
-    pairs = _collocated(gain, [i for i, kind in enumerate(kinds) if kind == "velocity"],
-                        [j for j in range(nu) if unit_kind(input_units[j]) in ("force", "torque")])
-    driven = _driven(plant, kinds, points, gain)
-    for i, kind in enumerate(kinds):
-        if kind != "velocity":
-            continue
-        trifle = STEPPED * np.max(np.abs(base[:, i])) if plant.dt else 1e-14
-        inertia = [k for k, h in halves.items()
-                   if np.any(base[:, i]) and np.allclose(2 * h[:, i], base[:, i], rtol=1e-9, atol=trifle)]
-        forces = [j for j in range(nu) if unit_kind(input_units[j]) in ("force", "torque") and gain[i, j] != 0
-                  and affine[i, j] and driven[i, j] >= 0] or [j for j in range(nu) if driven[i, j] > 0 and affine[i, j]]
-        angular = any(KNOWN[s] == "angle" for s in units[i])
-        funits[i] = {"N": 1, "m": 1} if angular else {"N": 1}
-        iunits[i] = {"kg": 1, "m": 2} if angular else {"kg": 1}
-        converted = abs(math.prod(factor_of(s) ** n for s, n in units[i].items()) - 1) > 1e-3
-        if inertia and not (forces and converted):  # of a speed in mm/s, force over inertia is not in its unit
-            entry[i] = (1, i, inertia[0])
-            mobility[i] = 1.0 / p[inertia[0]]
-            if not forces and _is_time_constant(plant, i, inertia[0], points):
-                funits[i], iunits[i] = units[i], {"s": 1}
-        elif forces:
-            j = pairs.get(i, max(forces, key=lambda j: abs(gain[i, j])))
-            entry[i] = (0 if gain[i, j] > 0 else 2, j, -1)
-            funits[i] = parse_unit(input_units[j])
-            mobility[i] = abs(gain[i, j])
-        else:
-            entry[i] = (1, i, -1)
-            mobility[i] = 1.0
-            funits[i] = {**units[i], "s": units[i].get("s", 0) - 1}
-            iunits[i] = {}
-        parts = [abs(gain[i, j]) * rms_u[j] for j in range(nu)]
-        for m in range(len(kinds)):
-            x = 0.5 * (low + high)
-            up, dn = x.copy(), x.copy()
-            up[m], dn[m] = high[m], low[m]
-            parts.append(abs(plant.derivative(up, np.zeros(nu))[i] - plant.derivative(dn, np.zeros(nu))[i]) / 3.5)
-        parts.append(float(np.std(base[:, i])) * 0.3)
-        scale[i] = max([q for q in parts if np.isfinite(q)] + [1e-12]) / mobility[i]
-    return entry, scale, funits, iunits, mobility
