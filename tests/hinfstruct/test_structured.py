@@ -1,4 +1,6 @@
-"""Structured models: patterns, functions, derivatives, re-parametrisation, and clear refusals."""
+"""Structured models: patterns, functions, derivatives, re-parametrisation, pickling, and clear refusals."""
+
+import pickle
 
 import numpy as np
 import pytest
@@ -55,6 +57,21 @@ def test_reparametrise_chains_the_derivative():
     dA = other.differentiate(at)[0]
     assert dA[0] == pytest.approx(np.array([[0, 0], [-6.0, -0.2]]))
     assert dA[1] == pytest.approx(np.array([[0, 0], [0, -6.0]]))
+
+
+def halved(p):
+    return np.array([p[0] / 2, p[0], p[1]])
+
+
+@pytest.mark.parametrize("model", [
+    pattern(**PATTERN), function(spring, PHYSICAL),
+    function(spring, PHYSICAL).reparametrise([Parameter("a", 2.0), Parameter("b", 3.0)], halved)])
+def test_models_pickle(model):
+    copy, theta = pickle.loads(pickle.dumps(model)), np.arange(1.0, 1.0 + model.size)
+    assert copy.names == model.names
+    for mine, theirs in zip((*copy.evaluate(theta), *copy.differentiate(theta)),
+                            (*model.evaluate(theta), *model.differentiate(theta)), strict=True):
+        np.testing.assert_array_equal(mine, theirs)
 
 
 @pytest.mark.parametrize(

@@ -11,6 +11,7 @@ import re
 import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import control
 import numpy as np
@@ -116,11 +117,8 @@ class StructuredModel:
             constants.append(constant)
             slopes.append(slope)
         _check_shapes(*constants)
-
-        def evaluate(theta):
-            return tuple(c + np.tensordot(theta, s, 1) for c, s in zip(constants, slopes, strict=True))
-
-        return cls(tuple(parameters), evaluate, lambda theta: tuple(slopes), affine=True)
+        evaluate = partial(_affine, tuple(constants), tuple(slopes))
+        return cls(tuple(parameters), evaluate, partial(_fixed, tuple(slopes)), affine=True)
 
     @classmethod
     def from_function(
@@ -155,12 +153,9 @@ class StructuredModel:
         if not isinstance(blocks, tuple | list) or len(blocks) != 4:
             raise InputError("the function must return four matrices (A, B, C, D)")
         _check_shapes(*(np.atleast_2d(np.asarray(b, dtype=float)) for b in blocks))
-
-        def evaluate(theta):
-            return tuple(np.atleast_2d(np.asarray(b)) for b in function(theta))
-
+        evaluate = partial(_blocks, function)
         if jacobian == "complex-step":
-            differentiate = _complex_step(evaluate)
+            differentiate = partial(_complex_step, evaluate)
             _check_analytic(evaluate, differentiate, nominal)
         elif callable(jacobian):
             differentiate = jacobian
@@ -215,25 +210,53 @@ class StructuredModel:
         parameters = tuple(parameters)
         _check_names([p.name for p in parameters])
         if jacobian is None:
-
-            def jacobian(p):
-                step = 1e-30 * np.maximum(np.abs(p), 1e-30)
-                columns = [
-                    np.imag(function(p + 1j * np.eye(len(p))[k] * step[k])) / step[k] for k in range(len(p))
-                ]
-                return np.stack(columns, axis=1)
-
-        def differentiate(p):
-            slope = jacobian(p)
-            return tuple(np.tensordot(slope.T, d, 1) for d in self.differentiate(function(p)))
-
+            jacobian = partial(_complex_step_slope, function)
         return replace(
             self,
             parameters=parameters,
-            evaluate=lambda p: self.evaluate(function(p)),
-            differentiate=differentiate,
+            evaluate=partial(_evaluate_through, self.evaluate, function),
+            differentiate=partial(_differentiate_through, self.differentiate, function, jacobian),
             affine=False,
         )
+
+
+# What models hold: functions of this module with their first arguments bound, so that models can be pickled.
+def _affine(constants, slopes, theta):
+    return tuple(c + np.tensordot(theta, s, 1) for c, s in zip(constants, slopes, strict=True))
+
+
+def _fixed(slopes, theta):
+    return slopes
+
+
+def _blocks(function: Callable, theta):
+    return tuple(np.atleast_2d(np.asarray(b)) for b in function(theta))
+
+
+def _complex_step(evaluate: Callable, theta):
+    theta = np.asarray(theta, dtype=float)
+    columns = []
+    for k in range(theta.size):
+        step = 1e-30 * max(abs(theta[k]), 1e-30)
+        shifted = theta.astype(complex)
+        shifted[k] += 1j * step
+        columns.append([np.imag(block) / step for block in evaluate(shifted)])
+    return tuple(np.stack([c[b] for c in columns]) for b in range(4))
+
+
+def _complex_step_slope(function: Callable, p):
+    step = 1e-30 * np.maximum(np.abs(p), 1e-30)
+    columns = [np.imag(function(p + 1j * np.eye(len(p))[k] * step[k])) / step[k] for k in range(len(p))]
+    return np.stack(columns, axis=1)
+
+
+def _evaluate_through(evaluate: Callable, function: Callable, p):
+    return evaluate(function(p))
+
+
+def _differentiate_through(differentiate: Callable, function: Callable, jacobian: Callable, p):
+    slope = jacobian(p)
+    return tuple(np.tensordot(slope.T, d, 1) for d in differentiate(function(p)))
 
 
 _TERM = re.compile(r"^\s*([+-]?)\s*(?:(\d+\.?\d*(?:[eE][+-]?\d+)?)\s*\*\s*)?([A-Za-z_]\w*)\s*$")
@@ -277,20 +300,6 @@ def _check_shapes(A, B, C, D) -> None:
         raise InputError(
             f"the matrices do not fit together: A {A.shape}, B {B.shape}, C {C.shape}, D {D.shape}"
         )
-
-
-def _complex_step(evaluate: Callable) -> Callable:
-    def differentiate(theta):
-        theta = np.asarray(theta, dtype=float)
-        columns = []
-        for k in range(theta.size):
-            step = 1e-30 * max(abs(theta[k]), 1e-30)
-            shifted = theta.astype(complex)
-            shifted[k] += 1j * step
-            columns.append([np.imag(block) / step for block in evaluate(shifted)])
-        return tuple(np.stack([c[b] for c in columns]) for b in range(4))
-
-    return differentiate
 
 
 def _check_analytic(evaluate: Callable, differentiate: Callable, theta: np.ndarray) -> None:
