@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from pwaid.mismatch.summary import plus_minus, verdict_sentence, with_interval
+from pwaid.mismatch.summary import _else, plus_minus, verdict_sentence, with_interval
 
 
 @pytest.mark.parametrize(
@@ -61,3 +61,13 @@ def test_verdicts_read_as_sentences():
     assert "disturbance" not in moved
     assert "disturbance" in verdict_sentence(content("parameters_only", rmse=1.0))
     assert "nothing is missing" in verdict_sentence(content("agreement", rmse=0.5)).lower()
+
+
+def test_a_runner_up_that_explains_more_and_was_refused_is_said_to_be():
+    rows = [{"id": i, "where": f"{i} at state:v", "share_explained": share, "passed": passed, "wider": False}
+            for i, share, passed in (("coulomb_friction", 0.97, True), ("hysteretic_spring", 0.99, False),
+                                     ("viscous_friction", 0.4, False))]
+    told = _else({"candidates": rows, "answer": ["coulomb_friction at state:v"], "share_explained": 0.97,
+                  "effects": [effect("coulomb_friction")]})
+    assert told == ["Runners-up (share of explainable held-out error): hysteretic_spring at state:v 99.0 %, refused; "
+                    "viscous_friction at state:v 40 %"]

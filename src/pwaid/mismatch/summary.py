@@ -150,7 +150,8 @@ def _sure(c: dict) -> list[str]:
     trust = f"noise floor: {c['noise_floor_source']}"
     if c["effects"]:
         other = [r for r in _runners(c) if not r["wider"]][:1] if c["verdict"] == "named" else []
-        rival = "".join(f"; the runner-up, {r['where']}, explains {_percent(r['share_explained'])}" for r in other)
+        rival = "".join(f"; the runner-up, {r['where']}, explains {_percent(r['share_explained'])}{_refused(r, c)}"
+                        for r in other)
         share = _percent(c["share_explained"])
         lines.append(f"It explains {share} of the explainable held-out error{rival} ({trust}).")
     else:
@@ -240,8 +241,15 @@ def _else(c: dict) -> list[str]:
                          (True, "Laws that contain the answer and need not: ")):
         rows = [r for r in _runners(c) if r["wider"] == wider][:3]
         if rows:
-            lines.append(title + "; ".join(f"{r['where']} {_percent(r['share_explained'])}" for r in rows))
+            lines.append(title + "; ".join(
+                f"{r['where']} {_percent(r['share_explained'])}{_refused(r, c)}" for r in rows))
     return lines
+
+
+def _refused(row: dict, c: dict) -> str:
+    """That a law which explains more than the answer is not it: physics or what it leaves speaks against it."""
+    more = c["effects"] and row["share_explained"] > c["share_explained"] and not row["passed"] and not row["wider"]
+    return ", refused" if more else ""
 
 
 def summary_text(c: dict) -> str:
