@@ -159,6 +159,21 @@ def test_what_acts_behind_a_screw_has_the_units_of_the_table():
     assert spring.place.scales["force"] == pytest.approx(500.0 * s.force_scale[1])
 
 
+def test_what_acts_behind_a_gear_has_the_unit_of_a_load_whose_position_is_in_degrees_and_its_speed_in_radians():
+    turn = 180.0 / np.pi
+
+    def update(t, x, u, params):
+        torque = 0.4 * (turn * x[0] / 3.0 - x[1])
+        return np.array([x[2], turn * x[3], (u[0] - torque / 3.0) / params["jm"], torque / params["jl"]])
+
+    states = np.random.default_rng(0).normal(size=(64, 4))
+    s = find_structure(as_plant(_system(update, ["qm", "ql", "wm", "wl"], {"jm": 0.02, "jl": 0.3})), states, DATA.U,
+                       np.repeat(DATA.Y, 2, axis=1), ["N m"], ["rad", "deg"], DATA.sample_time, 6.0, ())
+    (gap,) = (e for e in locate_effects(effect_by_id("backlash"), s) if e.place.signal == "qm-ql")
+    (spring,) = (e for e in locate_effects(effect_by_id("cubic_stiffness"), s) if e.effect.between)
+    assert gap.units() == ["deg"] and spring.place.units["position"] == {"deg": 1}
+
+
 def _ride(seed: int, law) -> Recording:
     """A quarter car over a road, with a law between body and wheel."""
     rng, samples, dt, fine = np.random.default_rng(seed), 1200, 0.02, 20

@@ -233,21 +233,23 @@ def _blocks(function: Callable, theta):
     return tuple(np.atleast_2d(np.asarray(b)) for b in function(theta))
 
 
-def _complex_step(evaluate: Callable, theta):
+def _stepped(function: Callable, theta):
+    """(value, step) of the function a tiny imaginary step from theta along each parameter in turn."""
     theta = np.asarray(theta, dtype=float)
-    columns = []
     for k in range(theta.size):
         step = 1e-30 * max(abs(theta[k]), 1e-30)
         shifted = theta.astype(complex)
         shifted[k] += 1j * step
-        columns.append([np.imag(block) / step for block in evaluate(shifted)])
+        yield function(shifted), step
+
+
+def _complex_step(evaluate: Callable, theta):
+    columns = [[np.imag(block) / step for block in blocks] for blocks, step in _stepped(evaluate, theta)]
     return tuple(np.stack([c[b] for c in columns]) for b in range(4))
 
 
 def _complex_step_slope(function: Callable, p):
-    step = 1e-30 * np.maximum(np.abs(p), 1e-30)
-    columns = [np.imag(function(p + 1j * np.eye(len(p))[k] * step[k])) / step[k] for k in range(len(p))]
-    return np.stack(columns, axis=1)
+    return np.stack([np.imag(value) / step for value, step in _stepped(function, p)], axis=1)
 
 
 def _evaluate_through(evaluate: Callable, function: Callable, p):

@@ -43,7 +43,7 @@ def force_entries(plant: Plant, kinds, points, ranges, rms_u, input_units, units
     forces = [j for j, unit in enumerate(input_units) if unit_kind(unit) in ("force", "torque")]
     speeds = [i for i, kind in enumerate(kinds) if kind == "velocity"]
     pairs = _collocated(gain, speeds, forces)
-    driven = _driven(plant, kinds, points, gain)
+    driven = _driven(plant, speeds, points, gain)
     for i in speeds:
         trifle = STEPPED * np.max(np.abs(base[:, i])) if plant.dt else 1e-14
         inertia = [k for k, h in doubled.items()
@@ -126,13 +126,12 @@ def _collocated(gain, speeds, forces) -> dict[int, int]:
     return found
 
 
-def _driven(plant, kinds, points, gain) -> np.ndarray:
+def _driven(plant, speeds, points, gain) -> np.ndarray:
     """Whether each input works on each speed's own coordinate (nx, nu): 1 yes, -1 no, 0 where that does not show.
 
     With coupled inertias an input accelerates several speeds. The joint it works on is the one whose own damping
     accelerates them all in the same proportion, at every position; at rest nothing else depends on a speed.
     """
-    speeds = [i for i, kind in enumerate(kinds) if kind == "velocity"]
     found = np.zeros(gain.shape, dtype=int)
     if len(speeds) < 2:
         return found

@@ -23,14 +23,14 @@ def shafts(s: Structure) -> list[Place]:
         names = [s.plant.state_names[xa], s.plant.state_names[xb]]
         constants = (gear, float(s.ratio[xb]), float(s.ratio[xa]),
                      *_damped(s, a, b, s.ratio[xa] / gear, -s.ratio[xb]))
-        side = xa if counted(a, b, (1.0 / gear, -1.0)) == a else xb
         places.append(s.place("state", "-".join(names), names, ii, v=a, x=xa, scales={"position": twist},
-                              constants=constants, units={"position": s.state_units[side]}))
+                              constants=constants, units={"position": s.state_units[xb]}))
     return places
 
 
 def coupled(s: Structure) -> list[tuple[int, int, float]]:
-    """Pairs of speeds a, b whose positions a spring joins, and its gear: the force follows x_a / gear - x_b."""
+    """Pairs of speeds a, b whose positions a spring joins, and its gear: the force follows x_a / gear - x_b, which has
+    the unit of x_b."""
     vs = [v for v in s.velocities() if s.position_of(v) >= 0]
     found = ((a, b, _gear(s, a, b)) for a, b in itertools.combinations(vs, 2))
     return [(a, b, gear) for a, b, gear in found if gear is not None]

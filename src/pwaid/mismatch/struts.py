@@ -16,7 +16,8 @@ __all__ = ["struts"]
 @dataclass(frozen=True)
 class _Joint:
     """Two coupled bodies a, b (their speeds): weights of two positions in their relative position, of their speeds in
-    its rate, and what a unit of the relative force adds to the force on either."""
+    its rate, and what a unit of the relative force adds to the force on either; `side` is the body that counts as it
+    is, not by a gear."""
 
     a: int
     b: int
@@ -24,6 +25,7 @@ class _Joint:
     weights: tuple[float, float]
     rates: tuple[float, float]
     forces: tuple[float, float]
+    side: int
 
 
 def struts(s: Structure, sides: bool = False) -> list[Place]:
@@ -55,12 +57,11 @@ def struts(s: Structure, sides: bool = False) -> list[Place]:
 
 def _units(s: Structure, joint: _Joint) -> dict[str, dict]:
     """Units of the relative position, its rate and the relative force: those of the body that counts as it is. A force
-    per inertia of one body has no unit in those of another."""
-    side = counted(joint.a, joint.b, joint.rates)
-    position = joint.positions[0 if side == joint.a else 1]
-    known = side == joint.a or (_has_inertia(s, joint.a) and _has_inertia(s, side))
-    return {"position": s.state_units[position], "speed": s.state_units[side],
-            "force": s.force_units.get(side, {}) if known else {}}
+    that neither body feels as it is has none, nor one per inertia of one body in those of another."""
+    on_a, on_b = (abs(abs(w) - 1.0) < 1e-6 for w in joint.forces)
+    known = _has_inertia(s, joint.a) and _has_inertia(s, joint.b)
+    force = s.force_units.get(joint.a, {}) if on_a else s.force_units.get(joint.b, {}) if on_b and known else {}
+    return {"position": s.state_units[joint.positions[1]], "speed": s.state_units[joint.side], "force": force}
 
 
 def _has_inertia(s: Structure, v: int) -> bool:
@@ -80,7 +81,7 @@ def _joint(s: Structure, a: int, b: int, gear: float) -> _Joint:
     x, u = s.points(1)[0]
     on_a, on_b = s.slope(a, xb, x, u) / s.mobility[a], s.slope(b, xa, x, u) / s.mobility[b]
     return _Joint(a, b, (xa, xb), (1.0 / gear, -1.0), (float(s.ratio[xa]) / gear, -float(s.ratio[xb])),
-                  (1.0 / gear, -on_b / on_a))
+                  (1.0 / gear, -on_b / on_a), b)
 
 
 def _by_twist(s: Structure, z: int) -> _Joint | None:
@@ -93,4 +94,4 @@ def _by_twist(s: Structure, z: int) -> _Joint | None:
     on_a, on_b = s.slope(a, z, x, u) / s.mobility[a], s.slope(b, z, x, u) / s.mobility[b]
     if on_a == 0.0 or on_b == 0.0:
         return None
-    return _Joint(a, b, (z, z), (1.0, 0.0), rates, (rates[0], rates[0] * on_b / on_a))
+    return _Joint(a, b, (z, z), (1.0, 0.0), rates, (rates[0], rates[0] * on_b / on_a), counted(a, b, rates))
