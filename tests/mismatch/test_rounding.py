@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import control
 import numpy as np
 import pytest
 from tests_support import TRUE, gathered, record
 
+from pwaid.mismatch.decide import decide
+from pwaid.mismatch.effects.registry import effect_by_id
 from pwaid.mismatch.effects.sensor import quantization
+from pwaid.mismatch.explain import collect
+from pwaid.recording import Recording
 
 STEP = 0.06  # 30 times the noise
 
@@ -43,3 +48,31 @@ def test_a_coarse_step_is_found_and_parameters_with_it():
     found = dict(zip(best.fit.model.settings.free, np.exp(best.fit.theta[:3]), strict=True))
     nominal = {"m": 1.1, "b": 0.5, "k": 3.2}
     assert all(nominal[n] * found[n] == pytest.approx(TRUE[n], rel=0.02) for n in TRUE)
+
+
+def heated(seed: int, step: float, noise: float) -> Recording:
+    """An oven heated in steps of two minutes; its reading shows multiples of a step."""
+    rng, t = np.random.default_rng(seed), 2.0 * np.arange(600)
+    u, T, y = np.repeat(rng.uniform(2.0, 12.0, 10), 60), 22.0, np.empty(600)
+    for k in range(600):
+        y[k] = T
+        T = 20.0 + u[k] / 0.5 + (T - 20.0 - u[k] / 0.5) * np.exp(-0.5 / 100.0 * 2.0)
+    y = step * np.round((y + noise * rng.normal(size=600)) / step)
+    return Recording(t, u[:, None], y[:, None], ("P",), ("T",), {"P": "W", "T": "degC"}, name=f"r{seed}.csv")
+
+
+@pytest.mark.parametrize(("step", "noise", "named"), [(0.25, 0.005, True), (0.25, 0.08, False), (0.01, 0.05, False)])
+def test_rounding_that_hides_in_the_floor_is_named_where_it_is_all_there_is(step, noise, named):
+    oven = control.nlsys(lambda t, x, u, p: np.array([(u[0] - p["k"] * (x[0] - 20.0)) / p["C"]]),
+                         lambda t, x, u, p: x, inputs=["P"], outputs=["T"], states=["T"],
+                         params={"k": 0.55, "C": 110.0})
+    effects = [e for i in ("sensor_quantization", "constant_load", "sensor_lag", "radiation") for e in effect_by_id(i)]
+    runs = [heated(s, step, noise) for s in (1, 2, 3)]
+    evidence = collect(oven, runs[:2], runs[2:], ["k", "C"], effects=effects)
+    decision = decide(evidence.problem, evidence.null, evidence.singles, evidence.pairs)
+    assert any("multiples of 0.25" in note for note in evidence.notes) == named
+    if named:
+        assert (decision.verdict, decision.chosen.ids) == ("named", ("sensor_quantization",))
+        assert decision.chosen.values()[0][0] == pytest.approx(step, rel=0.005)
+    else:
+        assert decision.verdict == "parameters_only"

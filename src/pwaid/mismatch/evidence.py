@@ -47,6 +47,9 @@ PROMOTED, DISTANT = 8, 3.0
 BELOW = 0.8  # of the floor by repeats: no noise can be undercut so on recordings that were not fitted
 BEATEN = ("the repeated recordings differ by more than a fitted law leaves of others that it was not fitted to: the "
           "noise floor is what it leaves")
+# The step of a law of rounding is that of the readings to this share; it must leave this share of the floor.
+SAME_STEP, FINER = 0.02, 0.7
+ROUNDED = "the readings of {} are multiples of {:.4g}: the noise floor is what a law of that rounding leaves"
 STOPPED = ("the time given was over before every law and pair had been tried: what is named may have rivals that were "
            "not; give more minutes to look on")
 
@@ -82,7 +85,7 @@ def gather(problem: Problem, notes: Sequence[str], catalogue: Sequence[Effect], 
     found = _search(small or problem, catalogue, jobs, say, settled)
     problem = found.problem if small is None else replace(problem, floor=found.problem.floor)
     if problem.floor.beaten:
-        notes = (*notes, BEATEN)
+        notes = (*notes, problem.floor.beaten)
     singles, pairs = found.singles, found.pairs
     if small is not None and found.lower is None:
         say(0.75, f"fitting what {len(small.train.U)} samples show to all {len(problem.train.U)}")
@@ -100,16 +103,43 @@ def gather(problem: Problem, notes: Sequence[str], catalogue: Sequence[Effect], 
 
 
 def _lower_floor(problem: Problem, singles: Sequence[Hypothesis]) -> Floor | None:
-    """A floor from repeats that the best law stays below where it was not fitted, put down to what it leaves: the
-    repeats were disturbed more than the other recordings."""
-    if not problem.floor.repeated or problem.floor.beaten or not singles:
+    """The floor put down to what a law leaves that stays below it where it was not fitted: repeats were disturbed more
+    than the other recordings, or readings are rounded, as a law of rounding with their step shows."""
+    floor = problem.floor
+    if floor.beaten:
         return None
-    best = min(singles, key=lambda h: h.test_error)
-    trained, left = (np.sqrt(np.mean((data.Y - fit.Y) ** 2, axis=0)) for data, fit in (
-        (problem.train, best.fit), (problem.test, best.test)))
-    if np.any(left > BELOW * problem.floor.level) or np.any(trained > problem.floor.level):
+    if floor.repeated:
+        of_all = np.ones(len(floor.level), dtype=bool)
+        return _beaten(problem, singles, of_all, BELOW, 1.0, BEATEN)
+    for k in np.flatnonzero(floor.rounding) if floor.rounding is not None else ():
+        name, step = problem.plant.output_names[k], floor.rounding[k]
+        laws = [h for h in singles if _rounds(problem, h.located[0]) and h.located[0].place.ii[7] == k
+                and abs(h.values()[0][0] / step - 1.0) < SAME_STEP]
+        lower = _beaten(problem, laws, np.arange(len(floor.level)) == k, FINER, FINER, ROUNDED.format(name, step))
+        if lower is not None:
+            return lower
+    return None
+
+
+def _rounds(problem: Problem, located) -> bool:
+    """Whether this is a law of rounding at an output whose floor may be that of its rounding."""
+    steps = problem.floor.rounding
+    return steps is not None and located.effect.id == "sensor_quantization" and steps[located.place.ii[7]] > 0.0
+
+
+def _beaten(problem: Problem, laws: Sequence[Hypothesis], outputs, held_out: float, trained: float,
+            why: str) -> Floor | None:
+    """The floor with the level of these outputs (ny,) put down to what the best of the laws leaves; None where that is
+    more than the given shares of it, on held-out recordings or in training."""
+    level = problem.floor.level
+    best = min(laws, key=lambda h: h.test_error, default=None)
+    if best is None:
         return None
-    return replace(problem.floor, level=np.maximum(trained, left), trusted=False, beaten=True)
+    left, kept = (np.sqrt(np.mean((data.Y - fit.Y) ** 2, axis=0)) for data, fit in (
+        (problem.test, best.test), (problem.train, best.fit)))
+    if np.any((left > held_out * level)[outputs]) or np.any((kept > trained * level)[outputs]):
+        return None
+    return replace(problem.floor, level=np.where(outputs, np.maximum(kept, left), level), trusted=False, beaten=why)
 
 
 def _promoted(problem: Problem, fitted: Sequence[Hypothesis], rival: float, jobs: int) -> list[Hypothesis]:
@@ -144,7 +174,8 @@ def _search(problem: Problem, catalogue: Sequence[Effect], jobs: int, say: Calla
     screened = screen(problem, problem.null_coarse, located, jobs)
     chosen = shortlist(screened)
     if at_floor(problem, Thresholds()):
-        chosen = chosen[:3]  # nothing to explain: the best few are fitted so that the report can show them
+        # nothing to explain: the best few are fitted so that the report can show them, and whatever rounds readings
+        chosen = chosen[:3] + [s for s in screened if s not in chosen[:3] and _rounds(problem, s.located)]
     say(0.3, f"fitting {len(chosen)} candidates")
     singles = fit_shortlist(problem, chosen, jobs)
     lower = _lower_floor(problem, singles)

@@ -9,19 +9,23 @@ import numpy as np
 
 __all__ = ["Floor", "estimate_floor", "white_level"]
 
+LOUD = 0.87  # of the level is rounding alone: the noise under it is smaller than half of it
+
 _GAIN = {1: 2.0, 2: 6.0, 3: 20.0, 4: 70.0}  # variance of the k-th difference of unit white noise
 
 
 @dataclass(frozen=True)
 class Floor:
     """Noise level per output (ny,), its source, whether it includes run-to-run disturbance; whether it comes of
-    repeats alone, and whether it was put down because a law stays below it (`pwaid.mismatch.evidence`)."""
+    repeats alone; the step of readings whose level may be that of their rounding, 0 for the others (ny,); and why it
+    was put down where a law stays below it (`pwaid.mismatch.evidence`)."""
 
     level: np.ndarray
     source: str
     trusted: bool
     repeated: bool = False
-    beaten: bool = False
+    rounding: np.ndarray | None = None
+    beaten: str = ""
 
 
 def white_level(signal, order: int = 3) -> float:
@@ -59,12 +63,13 @@ def estimate_floor(residual, outputs, segments, output_names: Sequence[str],
     if given and all(n in given for n in output_names):
         return Floor(np.array([float(given[n]) for n in output_names]), "given", True)
     level, source, trusted = np.zeros(ny), "high-frequency part of the residual (estimated)", False
+    rounding = np.array([_step(outputs[:, k]) for k in range(ny)])
     for k in range(ny):
         parts = []
         for a, b in segments[:, :2]:
             parts.append(min(white_level(residual[a:b, k], 3), white_level(outputs[a:b, k], 4) * 1.2))
         level[k] = float(np.median(parts)) if parts else 0.0
-        level[k] = level[k] or _step(outputs[:, k]) / np.sqrt(12.0)
+        level[k] = level[k] or rounding[k] / np.sqrt(12.0)
     spread = []
     for group in repeats:
         n = min(len(y) for y in group)
@@ -78,4 +83,5 @@ def estimate_floor(residual, outputs, segments, output_names: Sequence[str],
             if name in given:
                 level[k] = float(given[name])
                 source = f"given for {', '.join(given)}; otherwise {source}"
-    return Floor(level, source, trusted, repeated=bool(spread) and not given)
+    rounding[rounding / np.sqrt(12.0) < LOUD * level] = 0.0
+    return Floor(level, source, trusted, bool(spread) and not given, None if spread or given else rounding)
