@@ -119,3 +119,12 @@ def test_a_hysteretic_spring_without_hysteresis_is_none():
     assert h.share > 0.9 and h.values()[0][3] > 0.9  # it fits, with nothing that dissipates
     assert "no hysteresis" in veto(evidence.problem, h)
     assert decide(evidence.problem, evidence.null, evidence.singles, ()).verdict == "unexplained"
+
+
+def test_a_compliance_that_stands_for_a_mass_is_none():
+    runs = [record(s) for s in (1, 2, 3)]
+    evidence = collect(oscillator(m=0.6), runs[:2], runs[2:], ["b", "k"], effects=effect_by_id("compliance"))
+    h = evidence.singles[0]
+    assert h.share > 0.9 and h.values()[0][0] > 0.94
+    assert "all of the mass" in veto(evidence.problem, h)
+    assert decide(evidence.problem, evidence.null, evidence.singles, ()).verdict == "unexplained"

@@ -75,6 +75,8 @@ def veto(problem: Problem, h: Hypothesis) -> str:
             return "its force is as good as constant: a load"
         if e.effect.id == "hysteretic_spring" and values[3] > _ELASTIC:
             return "it has no hysteresis: a spring that softens"
+        if e.effect.id == "compliance" and values[0] > 0.999 * first.high:
+            return "its load is as good as all of the mass: a mass, not a mode"
         if e.effect.id == "position_ripple" and z[1] <= np.log(e.effect.quantities[1].low) + 1e-3:
             return "its period is as long as the stroke: no ripple"
         if e.effect.id == "sensor_saturation" and _beyond(problem, h, e, values[0]):
