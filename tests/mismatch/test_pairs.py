@@ -5,11 +5,11 @@ from __future__ import annotations
 import control
 import numpy as np
 import pytest
-from tests_support import gathered, multisine, record
+from tests_support import gathered, multisine, oscillator, pushed, record
 
 from pwaid.mismatch.decide import decide
 from pwaid.mismatch.effects.registry import effect_by_id
-from pwaid.mismatch.explain import explain
+from pwaid.mismatch.explain import collect, explain
 from pwaid.recording import Recording
 
 
@@ -39,6 +39,21 @@ def test_a_ripple_is_found_on_top_of_friction(size, wavenumber):
     values = dict(zip(decision.chosen.ids, decision.chosen.values(), strict=True))
     assert values["coulomb_friction"][0] == pytest.approx(0.2, rel=0.05)
     assert values["position_ripple"][:2] == pytest.approx([size, wavenumber], rel=0.05)
+
+
+@pytest.mark.parametrize(("damping", "id"), [((0.30, 0.42), "asymmetric_viscous_friction"),
+                                             ((0.36, 0.361), "viscous_friction")])
+def test_the_wider_of_two_laws_counts_beside_what_its_partner_leaves(damping, id):
+    """The drift is a hundred times as large as either damping: beside it no asymmetry would."""
+    def drifting(seed):
+        r = pushed(seed, lambda x, v: -damping[int(v < 0)] * v)
+        return r.replace(outputs=r.outputs + 0.05 * r.time[:, None])
+
+    effects = [e for i in ("viscous_friction", "asymmetric_viscous_friction", "sensor_drift") for e in effect_by_id(i)]
+    runs = [drifting(s) for s in (1, 2, 3)]
+    evidence = collect(oscillator(b=0.46), runs[:2], runs[2:], ["m", "k"], effects=effects)
+    decision = decide(evidence.problem, evidence.null, evidence.singles, evidence.pairs)
+    assert decision.verdict == "named" and sorted(decision.chosen.ids) == sorted(["sensor_drift", id])
 
 
 def two_joints(t, x, u, params):

@@ -121,14 +121,14 @@ def decide(problem: Problem, null: Hypothesis, singles: Sequence[Hypothesis], pa
     passed_pairs = sorted(_not_outdone(problem, passed_pairs, [*refused, *more], t, reasons), key=_score)
     best = min(passed, key=_score, default=None)
     if best is not None:
-        best = _prefer_smaller(problem, best, passed, t)
+        best = _prefer_smaller(problem, best, passed, (), t)
         pair = _better_pair(problem, best, passed_pairs, floor, t)
         if pair is not None:
-            pair = _prefer_smaller(problem, pair, passed_pairs, t)
+            pair = _prefer_smaller(problem, pair, passed_pairs, singles, t)
             return _name(problem, pair, passed_pairs, t, rng, reasons)
         return _name(problem, best, passed, t, rng, reasons)
     if passed_pairs:
-        pair = _prefer_smaller(problem, passed_pairs[0], passed_pairs, t)
+        pair = _prefer_smaller(problem, passed_pairs[0], passed_pairs, singles, t)
         return _name(problem, pair, passed_pairs, t, rng, reasons)
     if _unrelated(problem, t) and not _unjudged(problem, t) and not outside(null, t.reach) and not still_explained(
             problem, null, t, leftover(problem, null.fit, null.test)):
@@ -297,8 +297,9 @@ def _inside(small: Hypothesis, large: Hypothesis) -> bool:
     return swapped > 0
 
 
-def _prefer_smaller(problem, best, passed, t):
-    """A law inside the winner's law, at the same place, wins unless the larger one is material by itself."""
+def _prefer_smaller(problem, best, passed, singles, t):
+    """A law inside the winner's law, at the same place, wins unless the larger one is material by itself: beside what
+    the law at that place removes, the other law of a pair being there."""
     floor = floor_square(problem)
     while True:
         smaller = [h for h in passed if _inside(h, best)]
@@ -307,12 +308,18 @@ def _prefer_smaller(problem, best, passed, t):
         inner = min(smaller, key=_score)
         gain_test = (inner.test_error - best.test_error) / max(inner.test_error - 0.9 * floor, 1e-12)
         gain_train = (inner.train_error - best.train_error) / max(inner.train_error - 0.9 * floor, 1e-12)
-        whole = mean_square(problem, problem.null_test, problem.test)
-        visible = (inner.test_error - best.test_error) > t.nested_share * whole
+        visible = (inner.test_error - best.test_error) > t.nested_share * _beside(problem, inner, best, singles)
         if gain_test > t.nested_gain and gain_train > t.nested_gain and visible and criterion(
                 problem, best, inner) < -6:
             return best
         best = inner
+
+
+def _beside(problem, inner: Hypothesis, best: Hypothesis, singles) -> float:
+    """Held-out error of the laws that two nested pairs share, fitted alone; the null's where they share none."""
+    shared = {e.key for e in inner.located} & {e.key for e in best.located}
+    alone = [h.test_error for h in singles if {e.key for e in h.located} == shared]
+    return min([mean_square(problem, problem.null_test, problem.test), *alone])
 
 
 def _name(problem, best, passed, t, rng, reasons) -> Decision:
