@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests_support import gathered, oscillator, pushed, record
+from tests_support import gathered, oscillator, pushed, record, recorded
 
 from pwaid.mismatch import Thresholds
 from pwaid.mismatch.decide import _material, decide
@@ -128,3 +128,23 @@ def test_a_compliance_that_stands_for_a_mass_is_none():
     assert h.share > 0.9 and h.values()[0][0] > 0.94
     assert "all of the mass" in veto(evidence.problem, h)
     assert decide(evidence.problem, evidence.null, evidence.singles, ()).verdict == "unexplained"
+
+
+def swinging(seed: int, load: float):
+    """The true oscillator under one sine and a constant load."""
+    rng, t, h = np.random.default_rng(seed), 0.02 * np.arange(900), 0.001
+    u, x, v, y = 1.2 * np.sin(0.5 * np.pi * t + seed), 0.0, 0.0, np.empty(900)
+    for k in range(900):
+        y[k] = x
+        for _ in range(20):
+            v += h * (u[k] - 0.45 * v - 3.0 * x - load)
+            x += h * v
+    return recorded(t, u, y, 2e-3, rng, seed)
+
+
+def test_a_hysteretic_spring_that_stays_strained_to_one_side_is_a_load():
+    runs = [swinging(s, 0.4) for s in (1, 2, 3)]
+    evidence = collect(oscillator(), runs[:2], runs[2:], ["m", "b", "k"], effects=effect_by_id("hysteretic_spring"))
+    h = evidence.singles[0]
+    assert h.share > 0.9 and h.values()[0][3] < 0.9
+    assert "as good as constant" in veto(evidence.problem, h)

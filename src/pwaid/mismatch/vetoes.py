@@ -22,6 +22,9 @@ _YIELDING, _PRESSED, _REST, _LEANING = 1 / 3, 0.1, 0.01, 0.8
 # A spring whose force varies by less than this share of its mean, at a position that nothing measures, is a load.
 _SPRINGS, _CONSTANT = {"linear_stiffness": 1, "quadratic_stiffness": 2, "cubic_stiffness": 3}, 0.1
 
+# A hysteretic spring that stays strained to one side and varies by less than this share of that is a load as well.
+_STRAINED = 0.2
+
 # Bouc and Wen's law of this shape, gamma over beta plus gamma, or more gives back what it takes: a spring that softens.
 _ELASTIC = 0.9
 
@@ -75,6 +78,8 @@ def veto(problem: Problem, h: Hypothesis) -> str:
             return "its force is as good as constant: a load"
         if e.effect.id == "hysteretic_spring" and values[3] > _ELASTIC:
             return "it has no hysteresis: a spring that softens"
+        if e.effect.id == "hysteretic_spring" and _as_good_as_constant(_strains(h, e), _STRAINED):
+            return "its force is as good as constant: a load"
         if e.effect.id == "compliance" and values[0] > 0.999 * first.high:
             return "its load is as good as all of the mass: a mass, not a mode"
         if e.effect.id == "position_ripple" and z[1] <= np.log(e.effect.quantities[1].low) + 1e-3:
@@ -101,7 +106,18 @@ def _holds(problem: Problem, h: Hypothesis, located) -> bool:
     if k in problem.structure.output_state:
         return False
     force = np.concatenate([h.fit.X[:, k], h.test.X[:, k]]) ** _SPRINGS[located.effect.id]
-    return bool(np.std(force) < _CONSTANT * abs(np.mean(force)))
+    return _as_good_as_constant(force, _CONSTANT)
+
+
+def _as_good_as_constant(force, share: float) -> bool:
+    return bool(np.std(force) < share * abs(np.mean(force)))
+
+
+def _strains(h: Hypothesis, located) -> np.ndarray:
+    """The simulated strain z of a hysteretic spring, training and held out."""
+    model = h.fit.model
+    k = model.nx + sum(e.effect.extra_states for e in model.located[:model.located.index(located)])
+    return np.concatenate([h.fit.X[:, k], h.test.X[:, k]])
 
 
 def _past(x, edge: float, side: int) -> np.ndarray:
