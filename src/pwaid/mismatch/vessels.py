@@ -9,7 +9,7 @@ import numpy as np
 from pwaid.mismatch.effects.base import Place
 from pwaid.mismatch.structure import Structure
 
-__all__ = ["cascades", "neighbours", "outlets", "own_outlets", "stores"]
+__all__ = ["cascades", "heated", "neighbours", "outlets", "own_outlets", "stores"]
 
 STEP = 1e-4  # relative change of a parameter
 # what makes a temperature in it absolute
@@ -51,6 +51,28 @@ def cascades(s: Structure, kind: str) -> list[Place]:
                               levels={"position": (0.0, s.reach(i)), "second": (0.0, s.reach(j))},
                               units={"second": s.state_units[j]}))
     return places
+
+
+def heated(s: Structure) -> list[Place]:
+    """A temperature and an input that heats it alone, in proportion, whatever else happens."""
+    places = []
+    for i, j in itertools.product(_members(s, "thermal"), range(len(s.plant.input_names))):
+        warmed = [_by_input(s, x, u, j) for x, u in s.points(6)] if s.plant.black_box is None else []
+        largest = np.max(np.abs(warmed), initial=0.0)
+        if not warmed or largest == 0.0 or np.ptp(warmed, axis=0).max() > 1e-6 * largest:
+            continue
+        if warmed[0][i] > 0.0 and np.count_nonzero(np.abs(warmed[0]) > 1e-9 * largest) == 1:
+            ii = [0, 1, i, -1, i, -1, -1, -1, j, -1, 0, 0]
+            names = [s.plant.input_names[j], s.plant.state_names[i]]
+            places.append(s.place("input", names[0], names, ii, x=i, j=j))
+    return places
+
+
+def _by_input(s: Structure, x, u, j: int) -> np.ndarray:
+    """What a tenth of the largest input j adds to the rates."""
+    more = u.copy()
+    more[j] += 0.1 * s.input_max[j]
+    return s.plant.derivative(x, more) - s.plant.derivative(x, u)
 
 
 def neighbours(s: Structure) -> list[Place]:

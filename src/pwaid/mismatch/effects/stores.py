@@ -5,7 +5,7 @@ from __future__ import annotations
 from math import sqrt
 
 from pwaid.mismatch.effects.base import Effect, Quantity
-from pwaid.mismatch.vessels import cascades, neighbours, outlets, own_outlets, stores
+from pwaid.mismatch.vessels import cascades, heated, neighbours, outlets, own_outlets, stores
 
 __all__ = ["EFFECTS"]
 
@@ -115,6 +115,17 @@ def second_mass(phase, t, h, x, xs, u, p, dx, ii, q):
         dx[ii[0]] = d / q[1]
 
 
+def heated_mass(phase, t, h, x, xs, u, p, dx, ii, q):
+    """u_seen = conductance*(T_2 - T), dT_2/dt = (u/conductance - (T_2 - T))/time_constant: the input heats T_2."""
+    e, i, j = ii[0], ii[4], ii[8]
+    if phase == 0:
+        x[e + 1] = u[j]
+    elif phase == 1:
+        u[j] += q[0] * (x[e] - x[i]) - x[e + 1]
+    elif phase == 2:
+        dx[e] = (x[e + 1] / q[0] - (x[e] - x[i])) / q[1]
+
+
 _LEVEL = Quantity("level", "position_level", 0.2, 1.02, (0.6, 0.8, 0.92), log=False)
 EFFECTS = (
     Effect("square_root_outflow", "fluid", "outflow = k*sqrt(reference*h) instead of k*h",
@@ -176,4 +187,10 @@ EFFECTS = (
             lambda s: stores(s, "thermal"),
            ("input_delay", "radiation"), "a step and a long wait", extra_states=1, memory=True,
            start="stored"),
+    Effect("second_thermal_mass", "thermal",
+           "heat goes into T2: u seen = conductance*(T2 - T), dT2/dt = (u/conductance - (T2 - T))/time_constant",
+           (Quantity("conductance", "input/position", 0.01, 100.0, (0.5, 3.0)),
+            Quantity("time_constant", "time", 0.01, 30.0, (0.1, 0.5, 2.0))), heated_mass, heated,
+           ("actuator_lag", "input_delay", "sensor_lag"), "measure the heater too, or warm the mass from outside",
+           extra_states=2, memory=True, start="stored", contains=("actuator_lag",)),
 )
