@@ -247,3 +247,10 @@ def test_laws_that_are_the_truth_in_other_words_are_left_out_with_it(truth, gone
     plant = SimpleNamespace(name="two_link_arm", velocity="w", position=0)
     case = SimpleNamespace(drawn=[SimpleNamespace(id=truth)], measured=("q", "w"), plant=plant)
     assert gone | {truth} <= set(classes.left_out_ids(case))
+
+
+@pytest.mark.parametrize(("plant", "exact"), [("dc_motor", True), ("two_link_arm", False)])
+def test_loads_make_the_offset_of_a_reading_on_a_linear_plant(plant, exact):
+    plant = SimpleNamespace(name=plant, velocity=1, position=-1)
+    case = SimpleNamespace(drawn=[SimpleNamespace(id="sensor_offset")], measured=(0, 1), plant=plant)
+    assert ("constant_load" in classes.left_out_ids(case)) == exact

@@ -62,3 +62,12 @@ def test_units_of_the_clinic_the_road_and_the_workshop():
     assert parse_unit("mmHg s/mL") == {"mmHg": 1, "s": 1, "mL": -1}
     assert scaled_unit("mmHg", 1 / 133.322) == {"Pa": 1}
     assert scaled_unit("mph", 1 / 0.44704) == {"m": 1, "s": -1}
+
+
+@pytest.mark.parametrize(("text", "powers"), [
+    ("permille", {}), ("‰", {}), ("p.u.", {}), ("n/a", {}), ("%RH", {}),
+    ("N.m.s/rad", {"N": 1, "m": 1, "s": 1, "rad": -1}),
+    ("Pa.s", {"Pa": 1, "s": 1}), ("lb-ft", {"lbf": 1, "ft": 1}), ("r/min", {"rev": 1, "min": -1}),
+    ("barg", {"bar": 1}), ("slm", {"L": 1, "min": -1})])
+def test_what_engineers_write_for_no_unit_products_and_flows(text, powers):
+    assert parse_unit(text) == powers

@@ -240,8 +240,13 @@ def _is_speed(case):
 
 
 def left_out_ids(case):
-    """Ids left out of the catalogue: the truth, its doubles, the laws that contain it, and what makes it of others."""
+    """Ids left out of the catalogue: the truth, its doubles, the laws that contain it, and what makes it of others.
+
+    On a linear plant loads at several equations make the offset of any reading.
+    """
     out = []
     for d in case.drawn:
         out += [d.id, *CONTAINED_IN.get(d.id, ()), *COMPLETED_BY.get(d.id, ()), *equivalents(case)[d.id]]
+        if d.id == "sensor_offset" and case.plant.name in LINEAR:
+            out.append("constant_load")
     return out

@@ -33,7 +33,16 @@ _ALIASES = {"mmH2O": "mmWC", "cmH2O": "cmWC", "mH2O": "mWC", "inH2O": "inWC", "T
             "degrees": "deg", "radian": "rad", "radians": "rad", "volt": "V", "volts": "V", "amp": "A", "amps": "A",
             "percent": "%", "liter": "L", "litre": "L", "meter": "m", "metre": "m", "second": "s", "seconds": "s",
             "minute": "min", "hour": "h", "LSB": "lsb", "cnt": "counts", "step": "steps", "tick": "ticks",
+            "permille": "%", "‰": "%", "pct": "%", "%RH": "%", "%rh": "%", "rH": "%", "RH": "%", "turns": "turn",
+            "revs": "rev", "r": "rev", "pulse": "counts", "pulses": "counts", "digit": "counts", "digits": "counts",
+            "raw": "counts", "code": "counts", "codes": "counts", "duty": "1", "PWM": "1", "pwm": "1",
+            "knots": "nmi/h", "slm": "L/min", "SLM": "L/min",
+            "scfm": "ft^3/min", "barg": "bar",
+            "bara": "bar", "psig": "psi", "psia": "psi", "tesla": "T", "lux": "lx", "℃": "degC", "℉": "degF",
+            "degc": "degC", "DegC": "degC", "degf": "degF", "DegF": "degF", "fps": "ft/s", "lb-ft": "lbf ft",
+            "ft-lb": "lbf ft", "lb-in": "lbf in", "in-lb": "lbf in", "lbft": "lbf ft", "ftlb": "lbf ft",
             "pixel": "px", "pixels": "px", "micron": "um", "hz": "Hz", "kts": "nmi/h"}
+_PLAIN = ("n/a", "na", "none", "p.u.", "per-unit", "norm", "normalized", "normalised", "dimensionless", "unitless")
 _PREFIXES = {"p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "c": 1e-2, "h": 1e2, "k": 1e3, "M": 1e6, "G": 1e9}
 _PREFIXED = ("rad", "m", "N", "V", "A", "K", "Pa", "bar", "g", "s", "W", "l", "L", "Ah", "J", "Wh", "Hz", "Ohm", "ohm",
              "Ω", "H", "T", "F", "S", "Wb", "mol", "VA", "var", "cal")
@@ -66,15 +75,20 @@ def parse_unit(text: str) -> dict[str, int]:
         For a symbol that is not known.
     """
     powers: dict[str, int] = {}
+    if text.strip().lower() in _PLAIN:
+        return {}
+    text = re.sub(r"(?<=[A-Za-z])\.(?=[A-Za-z])", " ", text)  # N.m
     plain = text.strip().replace("**", "^").replace("*", " ").replace("·", " ").replace("²", "^2").replace("³", "^3")
     for part, sign in _parts(plain.replace("μ", "µ")):  # the Greek letter as the prefix sign
         for token in part.split():
             match = _TOKEN.fullmatch(token)
             if token in ("1", "-"):
                 continue
-            if match and match.group(1) in _ALIASES:
-                for symbol, power in parse_unit(_ALIASES[match.group(1)]).items():
-                    powers[symbol] = powers.get(symbol, 0) + sign * power * int(match.group(2) or 1)
+            alias = _ALIASES.get(token) or (_ALIASES.get(match.group(1)) if match else None)
+            if alias:
+                exponent = 1 if token in _ALIASES else int(match.group(2) or 1)
+                for symbol, power in parse_unit(alias).items():
+                    powers[symbol] = powers.get(symbol, 0) + sign * power * exponent
                 continue
             symbols = _TOGETHER.get(match.group(1), match.groups()[:1]) if match else ()
             if not symbols or symbols[0] not in KNOWN:
