@@ -96,3 +96,17 @@ def test_a_direction_that_only_the_prior_holds_is_as_wide_as_the_tolerance(base)
     G[:, 0] = 0.0  # as if the recordings said nothing of the mass
     blind = replace(normal, G=G, inverse=np.linalg.inv(G.T @ G + np.diag(normal.prior**2)))
     assert np.sqrt(covariance(problem, blind)[0, 0]) == pytest.approx(np.log(1.3), rel=0.05)
+
+
+def test_a_parameter_that_does_nothing_may_be_anything_within_its_bounds(base):
+    problem, fit = base
+    stop = next(Located(e, p) for e in effect_by_id("end_stop") for p in e.places(problem.structure))
+    never = stop.internal([1.0, 5.0, 1.0])  # stiffness, position far beyond the motion, damping
+    both = Model(problem.settings, (*fit.model.located, stop), fit.model.substeps)
+    theta = np.concatenate([fit.theta, never])
+    Y, X = both.simulate(theta, fit.X0, problem.train)
+    ends = parameter_intervals(problem, replace(fit, model=both, theta=theta, Y=Y, X=X))[:2]
+    n = fit.model.size
+    low, high = both.bounds(problem.train.sample_time)
+    assert np.allclose(ends[0][n:], low[n:]) and np.allclose(ends[1][n:], high[n:])
+    assert np.all(ends[1][:n] - ends[0][:n] < 1.0)

@@ -15,6 +15,7 @@ from pwaid.mismatch.nullfit import Problem
 
 __all__ = ["covariance", "feedback_widening", "parameter_intervals"]
 
+IDLE = 1e-12  # of the sum of squares of the weighted outputs, per unit of the fitted axis: nothing
 WIDEST = 50.0  # on the fitted axis: e^50 times the scale means unknown
 
 
@@ -61,11 +62,15 @@ def parameter_intervals(problem: Problem, fit: Fit, level: float = 0.9):
     """Low and high of every global parameter on the fitted axis, and the correlation matrix of the covariance.
 
     The variance is that of `covariance`, widened in closed loop, plus the second moment of the bias by small effects
-    left out (`pwaid.mismatch.discrepancy`), which is not noise and has no part in the correlations.
+    left out (`pwaid.mismatch.discrepancy`), which is not noise and has no part in the correlations. A parameter that
+    does nothing to the outputs may be anything within its bounds.
     """
     normal = normal_equations(problem, fit)
     C = covariance(problem, normal)
     variance = np.diag(C) * feedback_widening(problem, fit) ** 2 + np.diag(discrepancy(problem, fit, normal))
     width = np.minimum(student.ppf(0.5 + level / 2, 20) * np.sqrt(np.maximum(variance, 0)), WIDEST)
     d = np.sqrt(np.maximum(np.diag(C), 1e-300))
-    return fit.theta - width, fit.theta + width, C / np.outer(d, d)
+    idle = np.sum(normal.G**2, axis=0) + normal.prior**2 < IDLE
+    low, high = (np.where(idle, bound, end) for bound, end in zip(
+        fit.model.bounds(problem.train.sample_time), (fit.theta - width, fit.theta + width), strict=True))
+    return low, high, C / np.outer(d, d)

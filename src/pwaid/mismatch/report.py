@@ -145,10 +145,12 @@ def parameter_entries(problem: Problem, h: Hypothesis, low, high) -> dict[str, d
 
 
 def _shares(problem, h: Hypothesis, singles) -> list[float]:
+    """What each law removes: of a pair the mean of what it removes alone and of what it adds to the other."""
     if len(h.located) < 2:
         return [h.share]
-    alone = {s.located[0].key: s.share for s in singles}
-    first = min(max(alone.get(h.located[0].key, 0.0), 0.0), h.share)
+    known = {s.located[0].key: s.share for s in singles}
+    alone = [min(max(known.get(e.key, 0.0), 0.0), h.share) for e in h.located]
+    first = 0.5 * (alone[0] + h.share - alone[1])
     return [first, h.share - first]
 
 
