@@ -36,7 +36,7 @@ SMALL = {"quadratic_drag": 0.02, "cubic_stiffness": 0.02, "quadratic_stiffness":
          "radiation": 0.02, "sensor_offset": 0.01, "sensor_nonlinearity": 0.01}
 PRESENT = 2.5  # of them at a time
 HIDDEN = 0.3  # of the noise floor may be left visible by one of them
-FACTOR = 1.5  # on the standard deviation; set on calibration cases (docs/mismatch.md, "Intervals")
+FACTOR = 1.2  # on the standard deviation; set on calibration cases (docs/mismatch.md, "Intervals")
 
 
 def discrepancy(problem: Problem, fit: Fit, normal: NormalEquations) -> np.ndarray:
