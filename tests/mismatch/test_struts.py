@@ -72,12 +72,23 @@ def twisted(law=None):
     return _system(update, ["wm", "wl", "twist"], {"jm": 0.2, "jl": 0.5})
 
 
-def _system(update, states, params):
-    return control.nlsys(update, lambda t, x, u, params: x[:2], inputs=["u"], outputs=["y1", "y2"], states=states,
-                         params=params)
+def half_car(law=None):
+    """Heave and pitch, shown as the heights of both ends; the law is below the front end, which the input pushes."""
+    def update(t, x, u, params):
+        front, rear, v, w = x[0] - 0.8 * x[1], x[0] + 1.1 * x[1], x[2] - 0.8 * x[3], x[2] + 1.1 * x[3]
+        pushes = u[0] - 12.0 * front - 0.6 * v - (law(front, v) if law else 0.0), -9.0 * rear - 0.5 * w
+        return np.array([x[2], x[3], (pushes[0] + pushes[1]) / params["m"],
+                         (-0.8 * pushes[0] + 1.1 * pushes[1]) / params["i"]])
+    return _system(update, ["z", "th", "vz", "vth"], {"m": 1.2, "i": 0.7},
+                   lambda t, x, u, params: np.array([x[0] - 0.8 * x[1], x[0] + 1.1 * x[1]]))
 
 
-SIMULATORS = {quarter_car: ("m", "m", "zb-zw"), chain: ("N", "m", "q2-q3"), twisted: ("N m", "rad/s", "twist")}
+def _system(update, states, params, output=lambda t, x, u, params: x[:2]):
+    return control.nlsys(update, output, inputs=["u"], outputs=["y1", "y2"], states=states, params=params)
+
+
+SIMULATORS = {quarter_car: ("m", "m", "zb-zw"), chain: ("N", "m", "q2-q3"), twisted: ("N m", "rad/s", "twist"),
+              half_car: ("N", "m", "y1")}
 
 
 def _placed(simulator, units, name):

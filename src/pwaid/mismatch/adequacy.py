@@ -13,8 +13,8 @@ from pwaid.mismatch.predictability import predictability
 from pwaid.mismatch.thresholds import Thresholds
 from pwaid.mismatch.vetoes import at_bound, outside
 
-__all__ = ["floor_or_trifle", "inadequate", "likelihood_gain", "over_floor", "predicted_rest", "still_explained",
-           "stretched"]
+__all__ = ["floor_or_trifle", "inadequate", "likelihood_gain", "nothing_found", "over_floor", "predicted_rest",
+           "still_explained", "stretched"]
 
 
 def inadequate(problem: Problem, h: Hypothesis, t: Thresholds) -> str:
@@ -50,6 +50,12 @@ def _found(maps: Leftover, gain: float) -> float:
     """What maps add to the held-out log-likelihood, as a share of what the effect and they add; negative where they
     fit the training recordings only."""
     return maps.evidence / (gain + max(maps.evidence, 0.0))
+
+
+def nothing_found(problem: Problem, h: Hypothesis, t: Thresholds) -> bool:
+    """Whether maps on top of an effect find nothing, held out or in blocks of training time left out."""
+    maps = leftover(problem, h.fit, h.test)
+    return maps is not None and maps.validated < t.validated and _found(maps, likelihood_gain(problem, h)) < t.unfound
 
 
 def stretched(problem: Problem, h: Hypothesis, t: Thresholds) -> str:

@@ -18,6 +18,7 @@ from pwaid.mismatch.adequacy import (
     floor_or_trifle,
     inadequate,
     likelihood_gain,
+    nothing_found,
     over_floor,
     predicted_rest,
     still_explained,
@@ -27,7 +28,7 @@ from pwaid.mismatch.leftover import leftover
 from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.predictability import predictability
 from pwaid.mismatch.thresholds import Thresholds
-from pwaid.mismatch.vetoes import outside, veto
+from pwaid.mismatch.vetoes import YIELDS, outside, veto
 
 __all__ = ["TOGETHER", "Decision", "at_floor", "decide", "errors_by_recording", "white_bic"]
 
@@ -166,7 +167,7 @@ def _judge(problem, passed, t, reasons):
     kept, refused = [], []
     for h in passed:
         reason = veto(problem, h)
-        if not reason:
+        if not reason or (reason == YIELDS and nothing_found(problem, h, t)):
             reason = inadequate(problem, h, t)
             (refused if reason else kept).append(h)
         if reason:

@@ -17,7 +17,7 @@ __all__ = ["struts"]
 class _Joint:
     """Two coupled bodies a, b (their speeds): weights of two positions in their relative position, of their speeds in
     its rate, and what a unit of the relative force adds to the force on either; `side` is the body that counts as it
-    is, not by a gear."""
+    is, not by a gear; `shown` the output that shows the relative position, where that is why it is looked at."""
 
     a: int
     b: int
@@ -26,10 +26,12 @@ class _Joint:
     rates: tuple[float, float]
     forces: tuple[float, float]
     side: int
+    shown: str = ""
 
 
 def struts(s: Structure, sides: bool = False) -> list[Place]:
-    """Every pair of bodies that a spring of the simulator couples; one per side of its rest for stops.
+    """Every pair of bodies that a spring of the simulator couples, and every pair of motions that an output shows
+    together, as heave and pitch of a car at one wheel; one per side of its rest for stops.
 
     The constants are weights: of two positions in the relative one, of two speeds in its rate, and of the relative
     force in the forces on both bodies.
@@ -46,7 +48,7 @@ def struts(s: Structure, sides: bool = False) -> list[Place]:
             ii = s.force_ii(joint.a)
             ii[5], ii[9], ii[6], ii[7], ii[8], ii[10], ii[11] = *joint.positions, joint.b, mode, target, side, inertia
             places.append(s.place(
-                "state", "-".join(names), names, ii, v=joint.a, x=joint.positions[0],
+                "state", joint.shown or "-".join(names), names, ii, v=joint.a, x=joint.positions[0],
                 scales={"position": reach, "speed": speed,
                         "force": s.force_scale.get(joint.a, 1.0) / abs(joint.forces[0])},
                 units=_units(s, joint), levels={"position": side_span(side, low, high)},
@@ -71,9 +73,45 @@ def _has_inertia(s: Structure, v: int) -> bool:
 
 
 def _joints(s: Structure) -> list[_Joint]:
-    """The coupled pairs of bodies: two positions with a spring between them, or a state that is their twist."""
+    """The coupled pairs of bodies: two positions with a spring between them, or a state that is their twist; and what
+    outputs show of two motions together."""
     found = [_joint(s, a, b, gear) for a, b, gear in coupled(s)]
-    return found + [j for j in (_by_twist(s, z) for z in range(len(s.kinds))) if j is not None]
+    found += [j for j in (_by_twist(s, z) for z in range(len(s.kinds))) if j is not None]
+    shown = [j for j in (_by_output(s, k) for k in range(len(s.plant.output_names))) if j is not None]
+    return found + [j for j in shown if not any(_same(j, other) for other in found)]
+
+
+def _same(one: _Joint, other: _Joint) -> bool:
+    """Whether both are the same relative position, but for its scale."""
+    if set(one.positions) != set(other.positions) or one.positions[0] == one.positions[1]:
+        return False
+    weights = other.weights if one.positions == other.positions else other.weights[::-1]
+    return abs(one.weights[0] * weights[1] - one.weights[1] * weights[0]) < 1e-6 * abs(one.weights[1] * weights[0])
+
+
+def _by_output(s: Structure, k: int) -> _Joint | None:
+    """The two motions that an output shows as a fixed sum, a force on which acts on both in that proportion (virtual
+    work); None where it shows another number of states, or where a body's inertia is not known."""
+    gradients = np.array([_gradient(s, k, x, u) for x, u in s.points(4)])
+    weights = gradients[0]
+    if np.ptp(gradients, axis=0).max() > 1e-6 * np.abs(weights).max():
+        return None
+    shown = [int(i) for i in np.flatnonzero(np.abs(weights) > 1e-9 * np.abs(weights).max())]
+    if len(shown) != 2 or any(s.partner[i] < 0 for i in shown):
+        return None
+    bodies = [int(s.partner[i]) for i in shown]
+    if not all(v in s.entry and _has_inertia(s, v) for v in bodies):
+        return None
+    ratio = float(weights[shown[1]] / weights[shown[0]])
+    rates = float(s.ratio[shown[0]]), ratio * float(s.ratio[shown[1]])
+    return _Joint(*bodies, tuple(shown), (1.0, ratio), rates, rates, bodies[0], s.plant.output_names[k])
+
+
+def _gradient(s: Structure, k: int, x, u) -> np.ndarray:
+    """Derivative of output k by every state at one point, (nx,)."""
+    steps = 1e-4 * np.array([s.reach(i) for i in range(len(x))])
+    return np.array([(s.plant.outputs(x + d, u)[k] - s.plant.outputs(x - d, u)[k]) / (2.0 * d[i])
+                     for i, d in enumerate(np.diag(steps))])
 
 
 def _joint(s: Structure, a: int, b: int, gear: float) -> _Joint:

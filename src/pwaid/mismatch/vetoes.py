@@ -8,7 +8,9 @@ from pwaid.mismatch.floor import white_level
 from pwaid.mismatch.hypotheses import Hypothesis, mean_square, share, without
 from pwaid.mismatch.nullfit import Problem
 
-__all__ = ["at_bound", "outside", "veto"]
+__all__ = ["YIELDS", "at_bound", "outside", "veto"]
+
+YIELDS = "the recording goes far beyond the stop: it yields like a spring"
 
 # what recordings may leave open
 _LOOSE = ("stiffness", "contact_frequency", "damping", "phase", "share", "shape", "ambient", "dither")
@@ -16,8 +18,8 @@ _LOOSE = ("stiffness", "contact_frequency", "damping", "phase", "share", "shape"
 # A stop ends a motion. What gives way by this share of half the travel, this share of the time, is a spring.
 # Unless no more than this share of the error is left: a stop of rubber yields, and no spring does what it does.
 # Pressed for this share of the time and so deep, it ends no motion whatever it removes: a stop at the edge or in the
-# middle of the travel is a spring.
-_YIELDING, _PRESSED, _REST, _LEANING = 1 / 3, 0.1, 0.01, 0.8
+# middle of the travel is a spring. Between, pressed for up to RUBBER of the time, what it leaves decides (`decide`).
+_YIELDING, _PRESSED, _REST, _LEANING, _RUBBER = 1 / 3, 0.1, 0.01, 0.8, 1 / 3
 
 # A spring whose force varies by less than this share of its mean, at a position that nothing measures, is a load.
 _SPRINGS, _CONSTANT = {"linear_stiffness": 1, "quadratic_stiffness": 2, "cubic_stiffness": 3}, 0.1
@@ -91,8 +93,11 @@ def veto(problem: Problem, h: Hypothesis) -> str:
         if e.effect.id == "end_stop":
             if not np.any(_depths(h, e, values[1]) > 0.0):
                 return "the stop lies outside the travelled range"
-            if _yields(h, e, values[1], _LEANING if _removes_all(problem, h) else _PRESSED):
-                return "the recording goes far beyond the stop: it yields like a spring"
+            all_gone = _removes_all(problem, h)
+            if _yields(h, e, values[1], _LEANING if all_gone else _RUBBER):
+                return f"{YIELDS} and is hardly ever left"
+            if not all_gone and _yields(h, e, values[1], _PRESSED):
+                return YIELDS
         if e.effect.id in ("actuator_saturation", "overflow"):
             top = z[0] if not first.log else np.exp(z[0])
             if top >= 0.9995 and first.high <= 1.0:
