@@ -113,3 +113,14 @@ def test_an_effect_is_found_behind_an_output_in_other_units():
     friction = next(h for h in evidence.singles if h.ids == ("coulomb_friction",))
     assert friction.share > 0.95 and friction.values()[0][0] == pytest.approx(0.3, rel=0.03)
     assert friction.located[0].units() == ["N m"]
+
+
+def test_a_force_over_an_inertia_has_the_unit_of_a_speed_in_millimetres():
+    """A pressure moves a rod: nothing but the inertia tells the force, and m dv/dt is in kg mm/s^2."""
+    def rod(t, x, u, params):
+        return np.array([x[1], (5e4 * u[0] - params["k"] * x[0] - params["c"] * x[1]) / params["m"]])
+
+    cylinder = system(rod, lambda t, x, u, p: x[:1], ["x", "v"], ["y"], m=1.7, k=640.0, c=27.0)
+    s = structure(cylinder, ["bar"], ["mm"], 20.0)
+    assert s.entry[1] == (1, 1, 0)
+    assert s.force_units[1] == {"kg": 1, "mm": 1, "s": -2} and s.inertia_units[1] == {"kg": 1}

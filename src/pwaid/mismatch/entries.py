@@ -59,6 +59,8 @@ def force_entries(plant: Plant, kinds, points, ranges, rms_u, input_units, units
             found.mobility[i] = 1.0 / plant.vector()[inertia[0]]
             if not inputs and _is_time_constant(plant, i, inertia[0], points):
                 found.units[i], found.inertia_units[i] = units[i], {"s": 1}
+            elif converted:  # kg mm/s^2
+                found.units[i] = found.inertia_units[i] | units[i] | {"s": units[i].get("s", 0) - 1}
         elif inputs:
             j = pairs.get(i, max(inputs, key=lambda j: abs(gain[i, j])))
             found.entry[i] = (0 if gain[i, j] > 0 else 2, j, -1)
