@@ -65,7 +65,7 @@ def test_units_of_the_clinic_the_road_and_the_workshop():
 
 
 @pytest.mark.parametrize(("text", "powers"), [
-    ("permille", {}), ("‰", {}), ("p.u.", {}), ("n/a", {}), ("%RH", {}),
+    ("permille", {}), ("‰", {}), ("p.u.", {}), ("n/a", {}), ("nA", {"nA": 1}), ("%RH", {}),
     ("N.m.s/rad", {"N": 1, "m": 1, "s": 1, "rad": -1}),
     ("Pa.s", {"Pa": 1, "s": 1}), ("lb-ft", {"lbf": 1, "ft": 1}), ("r/min", {"rev": 1, "min": -1}),
     ("barg", {"bar": 1}), ("slm", {"L": 1, "min": -1})])

@@ -12,7 +12,8 @@ from pwaid.mismatch import Thresholds
 from pwaid.mismatch.decide import _material, decide
 from pwaid.mismatch.effects.registry import effect_by_id
 from pwaid.mismatch.explain import collect
-from pwaid.mismatch.vetoes import at_bound, veto
+from pwaid.mismatch.model import Model
+from pwaid.mismatch.vetoes import _strains, at_bound, veto
 
 
 def test_a_stop_that_yields_like_a_spring_is_none():
@@ -148,3 +149,22 @@ def test_a_hysteretic_spring_that_stays_strained_to_one_side_is_a_load():
     h = evidence.singles[0]
     assert h.share > 0.9 and h.values()[0][3] < 0.9
     assert "as good as constant" in veto(evidence.problem, h)
+
+
+def test_the_strain_of_a_hysteretic_spring_is_found_behind_the_memory_of_an_input():
+    evidence = gathered([record(s, samples=400) for s in (1, 2, 3)], "hysteretic_spring", "actuator_lag")
+    problem = evidence.problem
+    spring, lag = (next(e for h in evidence.singles for e in h.located if e.effect.id == i)
+                   for i in ("hysteretic_spring", "actuator_lag"))
+    parts = [np.array([0.3, 0.2, 1.0, 0.5]), np.array([1e-4])]
+
+    def strains(located, values):
+        model = Model(problem.settings, located, 4)
+        both = [replace(evidence.null.fit, model=model, X=model.simulate_with(
+            problem.plant.vector(), values, fit.X0, data)[1])
+            for fit, data in ((evidence.null.fit, problem.train), (evidence.null.test, problem.test))]
+        return _strains(replace(evidence.null, fit=both[0], test=both[1]), spring)
+
+    alone = strains((spring,), parts[:1])
+    assert np.ptp(alone) > 0.5
+    np.testing.assert_allclose(strains((spring, lag), parts), alone, atol=0.05)

@@ -92,6 +92,8 @@ def _same(one: _Joint, other: _Joint) -> bool:
 def _by_output(s: Structure, k: int) -> _Joint | None:
     """The two motions that an output shows as a fixed sum, a force on which acts on both in that proportion (virtual
     work); None where it shows another number of states, or where a body's inertia is not known."""
+    if s.plant.black_box is not None or not len(s.partner):
+        return None
     gradients = np.array([_gradient(s, k, x, u) for x, u in s.points(4)])
     weights = gradients[0]
     if np.ptp(gradients, axis=0).max() > 1e-6 * np.abs(weights).max():

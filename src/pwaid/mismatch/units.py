@@ -42,7 +42,7 @@ _ALIASES = {"mmH2O": "mmWC", "cmH2O": "cmWC", "mH2O": "mWC", "inH2O": "inWC", "T
             "degc": "degC", "DegC": "degC", "degf": "degF", "DegF": "degF", "fps": "ft/s", "lb-ft": "lbf ft",
             "ft-lb": "lbf ft", "lb-in": "lbf in", "in-lb": "lbf in", "lbft": "lbf ft", "ftlb": "lbf ft",
             "pixel": "px", "pixels": "px", "micron": "um", "hz": "Hz", "kts": "nmi/h"}
-_PLAIN = ("n/a", "na", "none", "p.u.", "per-unit", "norm", "normalized", "normalised", "dimensionless", "unitless")
+_PLAIN = ("n/a", "none", "p.u.", "per-unit", "norm", "normalized", "normalised", "dimensionless", "unitless")
 _PREFIXES = {"p": 1e-12, "n": 1e-9, "u": 1e-6, "µ": 1e-6, "m": 1e-3, "c": 1e-2, "h": 1e2, "k": 1e3, "M": 1e6, "G": 1e9}
 _PREFIXED = ("rad", "m", "N", "V", "A", "K", "Pa", "bar", "g", "s", "W", "l", "L", "Ah", "J", "Wh", "Hz", "Ohm", "ohm",
              "Ω", "H", "T", "F", "S", "Wb", "mol", "VA", "var", "cal")

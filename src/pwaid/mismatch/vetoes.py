@@ -121,7 +121,7 @@ def _as_good_as_constant(force, share: float) -> bool:
 def _strains(h: Hypothesis, located) -> np.ndarray:
     """The simulated strain z of a hysteretic spring, training and held out."""
     model = h.fit.model
-    k = model.nx + sum(e.effect.extra_states for e in model.located[:model.located.index(located)])
+    k = model.II[model.acting.index(located), 0]
     return np.concatenate([h.fit.X[:, k], h.test.X[:, k]])
 
 
