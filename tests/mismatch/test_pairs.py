@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from tests_support import gathered, multisine, oscillator, pushed, record
 
+from pwaid.mismatch import Thresholds
 from pwaid.mismatch.decide import decide
 from pwaid.mismatch.effects.registry import effect_by_id
 from pwaid.mismatch.explain import collect, explain
@@ -27,6 +28,19 @@ def test_the_order_of_two_laws_of_a_reading_is_found():
     decision = decide(evidence.problem, evidence.null, evidence.singles, evidence.pairs)
     assert decision.chosen.ids == min(errors, key=errors.get)
     assert decision.chosen.share > 0.99
+
+
+def test_a_pair_that_leaves_a_disturbance_may_leave_more():
+    """As under a disturbance: the share that a pair needs is out of reach, and maps find nothing in what it leaves."""
+    evidence = gathered([clipped_then_drifting(s) for s in (1, 2, 3)], "sensor_saturation", "sensor_drift")
+
+    def decided(**changes):
+        asked = Thresholds(share=0.97, share_tentative=0.97, pair_share=1.1, **changes)
+        return decide(evidence.problem, evidence.null, evidence.singles, evidence.pairs, asked)
+
+    assert sorted(decided().chosen.ids) == ["sensor_drift", "sensor_saturation"]
+    assert decided(unfound=-1.0).verdict == "unexplained"  # as if maps found something
+    assert decided(pair_share_quiet=1.1).verdict == "unexplained"
 
 
 @pytest.mark.parametrize(("size", "wavenumber"), [(0.2, 25.0), (0.1, 60.0)])

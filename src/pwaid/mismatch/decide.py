@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -128,6 +128,9 @@ def decide(problem: Problem, null: Hypothesis, singles: Sequence[Hypothesis], pa
             pair = _prefer_smaller(problem, pair, passed_pairs, singles, t)
             return _name(problem, pair, passed_pairs, t, rng, reasons)
         return _name(problem, best, passed, t, rng, reasons)
+    if not passed_pairs:
+        passed_pairs, more = _judge(problem, _disturbed_pairs(problem, null, singles, pairs, share, t), t, reasons)
+        passed_pairs = sorted(_not_outdone(problem, passed_pairs, [*refused, *more], t, reasons), key=_score)
     if passed_pairs:
         pair = _prefer_smaller(problem, passed_pairs[0], passed_pairs, singles, t)
         return _name(problem, pair, passed_pairs, t, rng, reasons)
@@ -254,6 +257,13 @@ def _passing_pairs(problem, null, singles, pairs, share, t):
             continue
         found.append(h)
     return found
+
+
+def _disturbed_pairs(problem, null, singles, pairs, share, t, most: int = 3):
+    """Pairs that remove less, the best few, where maps find nothing in what they leave: a disturbance."""
+    less = replace(t, pair_share=t.pair_share_quiet)
+    found = sorted(_passing_pairs(problem, null, singles, pairs, share, less), key=_score)[:most]
+    return [h for h in found if nothing_found(problem, h, t)]
 
 
 def _gain(problem, single: Hypothesis, pair: Hypothesis) -> float:

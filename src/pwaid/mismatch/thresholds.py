@@ -20,7 +20,8 @@ class Thresholds:
     share_tentative: float = 0.45  # without one
     inner: float = 0.9  # of either is enough for a law inside one that passes
     pair_share: float = 0.9  # by two laws together, which bend to much;
-    pair_share_quiet: float = 0.7  # where noise is small beside what they leave (see `quiet`)
+    pair_share_quiet: float = 0.7  # where noise is small beside what they leave (see `quiet`), or where no single law
+    # passes and maps find nothing in it
     second_share: float = 0.35  # of what the single effect left
     nested_gain: float = 0.1  # error the larger of two nested laws must remove beyond the smaller
     nested_share: float = 0.002  # ... and its share of the error without either of them,
