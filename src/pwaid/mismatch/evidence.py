@@ -38,8 +38,8 @@ KEPT = 2.0  # times the noise floor
 # Times the floor's mean square: above MATERIAL the null errs; a law that leaves at most REACHED of it in training, and
 # CARRIED on held-out recordings, leaves nothing to look for.
 MATERIAL, REACHED, CARRIED = 1.25, 1.2, 2.0
-# What other small effects of a machine leave, of the null's mean square; unless it is twice the noise.
-TRIFLE, SEEN = 0.002, 4.0
+# What other small effects of a machine leave, of the null's mean square; unless it is five times the noise.
+TRIFLE, SEEN = 0.002, 25.0
 LED, STRANDED = 3, 0.7  # singles whose parameters the null is tried at, and times its cost that shows it was stranded
 # Singles, and pairs, of a search on stretches that are promoted to all recordings; those that err DISTANT times as much
 # there (root mean square) as the best of all keep their parameters: they are no rivals, and such fits take long.
