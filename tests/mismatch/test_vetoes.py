@@ -60,7 +60,8 @@ def test_readings_that_another_law_moves_past_a_limit_do_not_speak_against_it(cl
 
 def test_a_pair_must_explain_more_than_one_law_must(clipped_then_drifting):
     evidence = clipped_then_drifting
-    strict = decide(evidence.problem, evidence.null, evidence.singles, evidence.pairs, Thresholds(pair_share=1.1))
+    strict = decide(evidence.problem, evidence.null, evidence.singles, evidence.pairs,
+                    Thresholds(pair_share=1.1, pair_share_quiet=1.1))
     assert strict.chosen is None or len(strict.chosen.ids) < 2
 
 

@@ -320,7 +320,7 @@ def _prefer_smaller(problem, best, passed, singles, t):
         gain_test = (inner.test_error - best.test_error) / max(inner.test_error - 0.9 * floor, 1e-12)
         gain_train = (inner.train_error - best.train_error) / max(inner.train_error - 0.9 * floor, 1e-12)
         more = min(inner.test_error - best.test_error, inner.train_error - best.train_error)
-        visible = more > t.nested_floor * floor and (
+        visible = more > t.nested_floor * min(floor, best.train_error) and (
             inner.test_error - best.test_error > t.nested_share * _beside(problem, inner, best, singles))
         if gain_test > t.nested_gain and gain_train > t.nested_gain and visible and criterion(
                 problem, best, inner) < -6:

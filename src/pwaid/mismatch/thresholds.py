@@ -25,7 +25,7 @@ class Thresholds:
     second_share: float = 0.35  # of what the single effect left
     nested_gain: float = 0.1  # error the larger of two nested laws must remove beyond the smaller
     nested_share: float = 0.002  # ... and its share of the error without either of them,
-    nested_floor: float = 0.1  # ... and of the floor's mean square, training too: small effects may leave so much
+    nested_floor: float = 0.05  # ... and of the floor's mean square, or of what it leaves itself; in training too
     rival: float = 1.15  # error ratio within which a rival of another law is not excluded
     wins: float = 0.8  # share of block bootstraps the winner must win
     evidence: float = 50.0  # the held-out log-likelihood, residuals white, must rise by this much with every law
