@@ -211,3 +211,17 @@ def test_a_damper_that_is_harder_in_rebound_is_named_between_body_and_wheel():
     assert decision.chosen.located[0].place.signal in ("zb-zw", "zw-zb")
     soft, hard = sorted(decision.chosen.values()[0])
     assert hard == pytest.approx(2.0, rel=0.05) and soft < 0.1
+
+
+def test_what_an_output_shows_of_heave_and_pitch_has_the_units_of_heave():
+    def output(t, x, u, params):
+        return np.array([1e3 * (x[0] - 0.8 * x[1]), x[1]])
+
+    car = half_car()
+    both = control.nlsys(car.updfcn, output, inputs=["u"], outputs=["front", "pitch"], states=car.state_labels,
+                         params=car.params)
+    plant, data = as_plant(both), replace(DATA, Y=np.repeat(DATA.Y, 2, axis=1))
+    states = np.random.default_rng(0).normal(size=(64, 4))
+    s = find_structure(plant, states, data.U, data.Y, ["N"], ["mm", "rad"], data.sample_time, 6.0, ())
+    place = next(p for e in effect_by_id("end_stop") for p in e.places(s) if p.signal == "front")
+    assert (place.units["position"], place.units["force"]) == ({"m": 1}, {"N": 1})

@@ -63,7 +63,8 @@ def _units(s: Structure, joint: _Joint) -> dict[str, dict]:
     on_a, on_b = (abs(abs(w) - 1.0) < 1e-6 for w in joint.forces)
     known = _has_inertia(s, joint.a) and _has_inertia(s, joint.b)
     force = s.force_units.get(joint.a, {}) if on_a else s.force_units.get(joint.b, {}) if on_b and known else {}
-    return {"position": s.state_units[joint.positions[1]], "speed": s.state_units[joint.side], "force": force}
+    counts = joint.positions[0 if joint.shown else 1]
+    return {"position": s.state_units[counts], "speed": s.state_units[joint.side], "force": force}
 
 
 def _has_inertia(s: Structure, v: int) -> bool:
