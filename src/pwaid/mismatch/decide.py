@@ -129,8 +129,8 @@ def decide(problem: Problem, null: Hypothesis, singles: Sequence[Hypothesis], pa
             return _name(problem, pair, passed_pairs, t, rng, reasons)
         return _name(problem, best, passed, t, rng, reasons)
     if not passed_pairs:
-        passed_pairs, more = _judge(problem, _disturbed_pairs(problem, null, singles, pairs, share, t), t, reasons)
-        passed_pairs = sorted(_not_outdone(problem, passed_pairs, [*refused, *more], t, reasons), key=_score)
+        found, again = _judge(problem, _disturbed_pairs(problem, null, singles, pairs, share, t), t, reasons)
+        passed_pairs = sorted(_not_outdone(problem, found, [*refused, *more, *again], t, reasons), key=_score)
     if passed_pairs:
         pair = _prefer_smaller(problem, passed_pairs[0], passed_pairs, singles, t)
         return _name(problem, pair, passed_pairs, t, rng, reasons)

@@ -8,7 +8,7 @@ import numpy as np
 
 from pwaid.mismatch.effects.base import Place
 from pwaid.mismatch.shafts import counted, coupled, twisted_by
-from pwaid.mismatch.structure import SIDES, Structure, side_span
+from pwaid.mismatch.structure import SIDES, Structure, side_span, two_terms
 
 __all__ = ["struts"]
 
@@ -63,8 +63,8 @@ def _units(s: Structure, joint: _Joint) -> dict[str, dict]:
     on_a, on_b = (abs(abs(w) - 1.0) < 1e-6 for w in joint.forces)
     known = _has_inertia(s, joint.a) and _has_inertia(s, joint.b)
     force = s.force_units.get(joint.a, {}) if on_a else s.force_units.get(joint.b, {}) if on_b and known else {}
-    counts = joint.positions[0 if joint.shown else 1]
-    return {"position": s.state_units[counts], "speed": s.state_units[joint.side], "force": force}
+    position = joint.positions[int(joint.side == joint.b)]
+    return {"position": s.state_units[position], "speed": s.state_units[joint.side], "force": force}
 
 
 def _has_inertia(s: Structure, v: int) -> bool:
@@ -95,26 +95,19 @@ def _by_output(s: Structure, k: int) -> _Joint | None:
     work); None where it shows another number of states, or where a body's inertia is not known."""
     if s.plant.black_box is not None or not len(s.partner):
         return None
-    gradients = np.array([_gradient(s, k, x, u) for x, u in s.points(4)])
-    weights = gradients[0]
-    if np.ptp(gradients, axis=0).max() > 1e-6 * np.abs(weights).max():
+    points = s.points(4 + len(s.partner))
+    X, still = np.array([x for x, _ in points]), points[0][1]
+    y = np.array([s.plant.outputs(x, still)[k] for x in X])
+    found = two_terms(X[1:] - X[0], y[1:] - y[0])  # an output may have an offset
+    if found is None or any(s.partner[i] < 0 for i in found[0]):
         return None
-    shown = [int(i) for i in np.flatnonzero(np.abs(weights) > 1e-9 * np.abs(weights).max())]
-    if len(shown) != 2 or any(s.partner[i] < 0 for i in shown):
-        return None
+    shown, weights = [int(i) for i in found[0]], found[1]
     bodies = [int(s.partner[i]) for i in shown]
     if not all(v in s.entry and _has_inertia(s, v) for v in bodies):
         return None
-    ratio = float(weights[shown[1]] / weights[shown[0]])
+    ratio = float(weights[1] / weights[0])
     rates = float(s.ratio[shown[0]]), ratio * float(s.ratio[shown[1]])
     return _Joint(*bodies, tuple(shown), (1.0, ratio), rates, rates, bodies[0], s.plant.output_names[k])
-
-
-def _gradient(s: Structure, k: int, x, u) -> np.ndarray:
-    """Derivative of output k by every state at one point, (nx,)."""
-    steps = 1e-4 * np.array([s.reach(i) for i in range(len(x))])
-    return np.array([(s.plant.outputs(x + d, u)[k] - s.plant.outputs(x - d, u)[k]) / (2.0 * d[i])
-                     for i, d in enumerate(np.diag(steps))])
 
 
 def _joint(s: Structure, a: int, b: int, gear: float) -> _Joint:

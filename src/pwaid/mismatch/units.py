@@ -36,9 +36,9 @@ _ALIASES = {"mmH2O": "mmWC", "cmH2O": "cmWC", "mH2O": "mWC", "inH2O": "inWC", "T
             "permille": "%", "‰": "%", "pct": "%", "%RH": "%", "%rh": "%", "rH": "%", "RH": "%", "turns": "turn",
             "revs": "rev", "r": "rev", "pulse": "counts", "pulses": "counts", "digit": "counts", "digits": "counts",
             "raw": "counts", "code": "counts", "codes": "counts", "duty": "1", "PWM": "1", "pwm": "1",
-            "knots": "nmi/h", "slm": "L/min", "SLM": "L/min",
-            "scfm": "ft^3/min", "barg": "bar",
-            "bara": "bar", "psig": "psi", "psia": "psi", "tesla": "T", "lux": "lx", "℃": "degC", "℉": "degF",
+            "knots": "nmi/h", "slm": "L/min", "SLM": "L/min", "scfm": "ft^3/min",
+            "barg": "bar", "bara": "bar", "psig": "psi", "psia": "psi", "tesla": "T", "lux": "lx", "℃": "degC",
+            "℉": "degF",
             "degc": "degC", "DegC": "degC", "degf": "degF", "DegF": "degF", "fps": "ft/s", "lb-ft": "lbf ft",
             "ft-lb": "lbf ft", "lb-in": "lbf in", "in-lb": "lbf in", "lbft": "lbf ft", "ftlb": "lbf ft",
             "pixel": "px", "pixels": "px", "micron": "um", "hz": "Hz", "kts": "nmi/h"}

@@ -55,13 +55,15 @@ def cascades(s: Structure, kind: str) -> list[Place]:
 
 def heated(s: Structure) -> list[Place]:
     """A temperature and an input that heats it alone, in proportion, whatever else happens."""
-    places = []
-    for i, j in itertools.product(_members(s, "thermal"), range(len(s.plant.input_names))):
-        warmed = [_by_input(s, x, u, j) for x, u in s.points(6)] if s.plant.black_box is None else []
-        largest = np.max(np.abs(warmed), initial=0.0)
-        if not warmed or largest == 0.0 or np.ptp(warmed, axis=0).max() > 1e-6 * largest:
+    thermal, places = _members(s, "thermal"), []
+    for j in range(len(s.plant.input_names)) if thermal and s.plant.black_box is None else ():
+        warmed = np.array([_by_input(s, x, u, j) for x, u in s.points(6)])
+        largest = np.max(np.abs(warmed))
+        driven = np.flatnonzero(np.abs(warmed[0]) > 1e-9 * largest)
+        if np.ptp(warmed, axis=0).max() > 1e-6 * largest or len(driven) != 1:
             continue
-        if warmed[0][i] > 0.0 and np.count_nonzero(np.abs(warmed[0]) > 1e-9 * largest) == 1:
+        i = int(driven[0])
+        if i in thermal and warmed[0][i] > 0.0:
             ii = [0, 1, i, -1, i, -1, -1, -1, j, -1, 0, 0]
             names = [s.plant.input_names[j], s.plant.state_names[i]]
             places.append(s.place("input", names[0], names, ii, x=i, j=j))
