@@ -6,9 +6,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from tests_support import gathered, oscillator, pushed, record, recorded
+from tests_support import gathered, multisine, oscillator, pushed, record, recorded
 
 from pwaid.mismatch import Thresholds
+from pwaid.mismatch.adequacy import stretched
 from pwaid.mismatch.decide import _material, decide
 from pwaid.mismatch.effects.registry import effect_by_id
 from pwaid.mismatch.explain import collect
@@ -130,6 +131,79 @@ def test_a_compliance_that_stands_for_a_mass_is_none():
     assert h.share > 0.9 and h.values()[0][0] > 0.94
     assert "all of the mass" in veto(evidence.problem, h)
     assert decide(evidence.problem, evidence.null, evidence.singles, ()).verdict == "unexplained"
+
+
+def test_a_compliance_that_does_not_swing_is_none():
+    runs = [record(s) for s in (1, 2, 3)]
+    evidence = collect(oscillator(b=0.2), runs[:2], runs[2:], ["m", "k"], effects=effect_by_id("compliance"))
+    h = evidence.singles[0]
+    assert h.share > 0.99 and h.values()[0][2] > 0.5  # a damper at some frequencies
+    assert "dies out within one swing" in veto(evidence.problem, h)
+    assert decide(evidence.problem, evidence.null, evidence.singles, ()).verdict == "unexplained"
+
+
+def rippled(force):
+    runs = [pushed(s, lambda x, v: force(x)) for s in (1, 2, 3)]
+    evidence = collect(oscillator(k=3.0), runs[:2], runs[2:], ["m", "b"], effects=effect_by_id("position_ripple"))
+    return evidence, max(evidence.singles, key=lambda h: h.share)
+
+
+def test_a_ripple_that_was_not_seen_to_repeat_is_none():
+    evidence, h = rippled(lambda x: -4.0 * np.tanh(2.5 * x))
+    assert h.share > 0.99 and h.values()[0][1] * np.ptp(h.fit.X[:, 0]) < 3.0 * np.pi
+    assert "as long as the travel" in veto(evidence.problem, h)
+
+
+def test_a_ripple_that_repeats_is_one():
+    evidence, h = rippled(lambda x: -1.0 * np.sin(9.0 * x))
+    assert h.share > 0.99 and veto(evidence.problem, h) == ""
+    assert h.values()[0][:2] == pytest.approx([1.0, 9.0], rel=0.02)
+
+
+def on_one_side(force):
+    """The true oscillator, held about 1.5 m from its rest, with a force of the position."""
+    def run(seed):
+        rng, t, h = np.random.default_rng(seed), 0.02 * np.arange(900), 0.001
+        u, x, v, y = 8.0 + 0.5 * multisine(rng, t, 1.5), 1.6, 0.0, np.empty(900)
+        for k in range(900):
+            y[k] = x
+            for _ in range(20):
+                v += h * (u[k] - 0.45 * v - 3.0 * x - force(x))
+                x += h * v
+        return recorded(t, u, y, 2e-3, rng, seed)
+
+    runs = [run(s) for s in (1, 2, 3)]
+    evidence = collect(oscillator(k=3.0), runs[:2], runs[2:], ["m", "b"], effects=[
+        e for i in ("quadratic_stiffness", "constant_load") for e in effect_by_id(i)])
+    return evidence, max(evidence.pairs, key=lambda h: h.share)
+
+
+def test_a_bent_spring_with_a_load_that_make_a_straight_line_are_none():
+    evidence, h = on_one_side(lambda x: 2.0 * x)
+    assert h.share > 0.999 and "straight line" in veto(evidence.problem, h)
+    assert decide(evidence.problem, evidence.null, evidence.singles, evidence.pairs).verdict == "unexplained"
+
+
+def test_a_bent_spring_with_a_load_that_explain_everything_are_named():
+    evidence, h = on_one_side(lambda x: x * x + 1.0)
+    decision = decide(evidence.problem, evidence.null, evidence.singles, evidence.pairs)
+    assert decision.verdict == "named" and set(decision.chosen.ids) == {"quadratic_stiffness", "constant_load"}
+
+
+def test_what_a_law_leaves_may_not_outgrow_what_there_was_to_explain():
+    evidence = gathered([record(s, level=0.4) for s in (1, 2, 3)], "coulomb_friction")
+    problem, best = evidence.problem, evidence.singles[0]
+
+    def left(fit, data, factor):
+        return replace(fit, Y=fit.Y - (factor - 1.0) * (data.Y - fit.Y))
+
+    def said(times, problem=problem):
+        h = replace(best, fit=left(best.fit, problem.train, 3.0), test=left(best.test, problem.test, times))
+        return stretched(problem, h, Thresholds())
+
+    assert said(5.0) == "" and "as much as in training" in said(8.0)  # 25 and 64 floors held out, 9 in training
+    harder = replace(problem, null_test=left(problem.null_test, problem.test, 3.0))
+    assert said(8.0, harder) == ""  # a held-out recording that goes farther, where the null errs nine times more
 
 
 def swinging(seed: int, load: float):

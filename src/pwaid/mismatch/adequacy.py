@@ -69,12 +69,15 @@ def stretched(problem: Problem, h: Hypothesis, t: Thresholds) -> str:
     left_tolerance = outside(h, t.reach)
     if left_tolerance:
         return f"{left_tolerance[0]} had to leave its tolerance and the error is not at the floor"
+    floor = floor_or_trifle(problem, t) ** 2
+    trained, null_trained = (np.mean((problem.train.Y - Y) ** 2, axis=0) / floor for Y in (h.fit.Y, problem.null.Y))
     null = over_floor(problem, problem.null_test.Y, t)
-    trained = np.mean((problem.train.Y - h.fit.Y) ** 2, axis=0) / floor_or_trifle(problem, t) ** 2
-    outgrown = np.any((left > t.outgrown * np.maximum(trained, 1.0)) & (left > t.residue * null))
-    if np.all(trained < t.left) and outgrown and not holds_in_pieces(problem, h, t.left, t.share):
-        return f"it fits the training recordings to the floor and leaves {np.max(left / trained):.0f} times as much " \
-               "on held-out ones"
+    times = left / np.maximum(trained, 1.0)
+    outgrown = (times > t.outgrown) & (left > t.residue * null)
+    if not np.all(trained < t.left):  # more must be left of a larger error
+        outgrown &= times > t.outgrowing * null / np.maximum(null_trained, 1.0)
+    if np.any(outgrown) and not holds_in_pieces(problem, h, t.left, t.share):
+        return f"on held-out recordings it leaves {np.max(times):.0f} times as much as in training"
     return ""
 
 

@@ -170,7 +170,7 @@ def _judge(problem, passed, t, reasons):
     kept, refused = [], []
     for h in passed:
         reason = veto(problem, h)
-        if not reason or (reason == YIELDS and nothing_found(problem, h, t)):
+        if not reason or (reason == YIELDS and h.share >= t.pair_share and nothing_found(problem, h, t)):
             reason = inadequate(problem, h, t)
             (refused if reason else kept).append(h)
         if reason:

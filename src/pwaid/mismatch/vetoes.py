@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from pwaid.mismatch.floor import white_level
-from pwaid.mismatch.hypotheses import Hypothesis, mean_square, share, without
+from pwaid.mismatch.hypotheses import Hypothesis, floor_square, mean_square, share, without
 from pwaid.mismatch.nullfit import Problem
 
 __all__ = ["YIELDS", "at_bound", "outside", "veto"]
 
 YIELDS = "the recording goes far beyond the stop: it yields like a spring"
+_LOAD = "its force is as good as constant: a load"
+_NOT_VISITED = "the limit lies outside the visited range"
 
 # what recordings may leave open
 _LOOSE = ("stiffness", "contact_frequency", "damping", "phase", "share", "shape", "ambient", "dither")
@@ -29,6 +31,20 @@ _STRAINED = 0.2
 
 # Bouc and Wen's law of this shape, gamma over beta plus gamma, or more gives back what it takes: a spring that softens.
 _ELASTIC = 0.9
+
+# A mode damped more than this loses its energy in one swing: what it does a damper or a lag does as well.
+_NO_RESONANCE = 0.5
+
+# A ripple of which fewer periods were travelled has not been seen to repeat: it is a bend of some other curve, unless
+# it alone explains everything.
+_PERIODS = 1.5
+
+# A bent spring beside another force of the same position: where their sum departs from a straight line by less than
+# this share, they are the series of something else, unless they explain everything.
+_STRAIGHT = 0.1
+
+# Everything is explained where no more than this multiple of the floor's mean square is left.
+_FLOOR = 1.3
 
 # A limit that the motion would pass in a smaller share of the samples clips nothing.
 _IDLE = 0.002
@@ -72,37 +88,83 @@ def veto(problem: Problem, h: Hypothesis) -> str:
         values = e.physical(z)
         if not np.all(np.isfinite(values)):
             return "its parameters are not finite"
-        first = e.effect.quantities[0] if e.effect.quantities else None
         sizes = [(q, v) for q, v in zip(e.effect.quantities, z, strict=True) if _is_size(e, q)]
         if sizes and all(v <= np.log(q.low) + 0.05 for q, v in sizes):
             return f"{' and '.join(q.name for q, _ in sizes)} went to zero"
-        if e.effect.id in _SPRINGS and _holds(problem, h, e):
-            return "its force is as good as constant: a load"
-        if e.effect.id == "hysteretic_spring" and values[3] > _ELASTIC:
-            return "it has no hysteresis: a spring that softens"
-        if e.effect.id == "hysteretic_spring" and _as_good_as_constant(_strains(h, e), _STRAINED):
-            return "its force is as good as constant: a load"
-        if e.effect.id == "compliance" and values[0] > 0.999 * first.high:
-            return "its load is as good as all of the mass: a mass, not a mode"
-        if e.effect.id == "position_ripple" and z[1] <= np.log(e.effect.quantities[1].low) + 1e-3:
-            return "its period is as long as the stroke: no ripple"
-        if e.effect.id == "sensor_saturation" and _beyond(problem, h, e, values[0]):
-            return "the recording goes beyond the limit that is said to clip it"
-        if e.effect.id == "sensor_saturation" and not _clips(problem, h, e, values[0]):
-            return "the limit lies outside the visited range"
-        if e.effect.id == "end_stop":
-            if not np.any(_depths(h, e, values[1]) > 0.0):
-                return "the stop lies outside the travelled range"
-            all_gone = _removes_all(problem, h)
-            if _yields(h, e, values[1], _LEANING if all_gone else _RUBBER):
-                return f"{YIELDS} and is hardly ever left"
-            if not all_gone and _yields(h, e, values[1], _PRESSED):
-                return YIELDS
-        if e.effect.id in ("actuator_saturation", "overflow"):
-            top = z[0] if not first.log else np.exp(z[0])
-            if top >= 0.9995 and first.high <= 1.0:
-                return "the limit lies outside the visited range"
+        reason = _VETOES[e.effect.id](problem, h, e, values) if e.effect.id in _VETOES else ""
+        if reason:
+            return reason
+    if len(h.located) > 1 and not _at_floor(problem, h) and _straight(h):
+        return "where the recordings go, its forces add up to a straight line: a spring with a load"
     return ""
+
+
+def _spring(problem: Problem, h: Hypothesis, e, values) -> str:
+    return _LOAD if _holds(problem, h, e) else ""
+
+
+def _hysteretic_spring(problem: Problem, h: Hypothesis, e, values) -> str:
+    if values[3] > _ELASTIC:
+        return "it has no hysteresis: a spring that softens"
+    return _LOAD if _as_good_as_constant(_strains(h, e), _STRAINED) else ""
+
+
+def _compliance(problem: Problem, h: Hypothesis, e, values) -> str:
+    if values[0] > 0.999 * e.effect.quantities[0].high:
+        return "its load is as good as all of the mass: a mass, not a mode"
+    return "its motion dies out within one swing: a damper or a lag, not a mode" if values[2] > _NO_RESONANCE else ""
+
+
+def _ripple(problem: Problem, h: Hypothesis, e, values) -> str:
+    short = values[1] * np.ptp(_positions(h, e)) < 2.0 * np.pi * _PERIODS
+    excused = len(h.located) == 1 and _at_floor(problem, h)
+    return "its period is nearly as long as the travel: no ripple" if short and not excused else ""
+
+
+def _sensor_saturation(problem: Problem, h: Hypothesis, e, values) -> str:
+    if _beyond(problem, h, e, values[0]):
+        return "the recording goes beyond the limit that is said to clip it"
+    return "" if _clips(problem, h, e, values[0]) else _NOT_VISITED
+
+
+def _end_stop(problem: Problem, h: Hypothesis, e, values) -> str:
+    if not np.any(_depths(h, e, values[1]) > 0.0):
+        return "the stop lies outside the travelled range"
+    all_gone = _removes_all(problem, h)
+    if _yields(h, e, values[1], _LEANING if all_gone else _RUBBER):
+        return f"{YIELDS} and is hardly ever left"
+    return YIELDS if not all_gone and _yields(h, e, values[1], _PRESSED) else ""
+
+
+def _limit(problem: Problem, h: Hypothesis, e, values) -> str:
+    """A saturation or a brim whose highest value, where it has one, is that of what was visited."""
+    share_of_range = (values[0] - e.origins[0]) / e.spans[0]
+    return _NOT_VISITED if share_of_range >= 0.9995 and e.effect.quantities[0].high <= 1.0 else ""
+
+
+_VETOES = {**dict.fromkeys(_SPRINGS, _spring), "hysteretic_spring": _hysteretic_spring, "compliance": _compliance,
+           "position_ripple": _ripple, "sensor_saturation": _sensor_saturation, "end_stop": _end_stop,
+           "actuator_saturation": _limit, "overflow": _limit}
+
+
+def _at_floor(problem: Problem, h: Hypothesis) -> bool:
+    return max(h.train_error, h.test_error) <= _FLOOR * floor_square(problem)
+
+
+def _straight(h: Hypothesis) -> bool:
+    """Whether all its laws are forces of one position at one place, a bent spring among them and no linear one, whose
+    sum is as good as straight over the visited positions."""
+    forces = {"constant_load": lambda x, q: np.full_like(x, q[0]),
+              "position_ripple": lambda x, q: q[0] * np.sin(q[1] * x + q[2]),
+              "quadratic_stiffness": lambda x, q: q[0] * x**2, "cubic_stiffness": lambda x, q: q[0] * x**3}
+    ids = {e.effect.id for e in h.located}
+    if not ids <= forces.keys() or not ids & _SPRINGS.keys() or len({e.place.signal for e in h.located}) > 1:
+        return False
+    bent = next(e for e in h.located if e.effect.id in _SPRINGS)
+    x = _positions(h, bent)
+    force = sum(forces[e.effect.id](x, q) for e, q in zip(h.located, h.values(), strict=True))
+    line = np.polynomial.Polynomial.fit(x, force, 1)
+    return bool(np.std(force - line(x)) < _STRAIGHT * np.std(force))
 
 
 def _holds(problem: Problem, h: Hypothesis, located) -> bool:
