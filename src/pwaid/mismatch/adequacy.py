@@ -74,8 +74,8 @@ def stretched(problem: Problem, h: Hypothesis, t: Thresholds) -> str:
     null = over_floor(problem, problem.null_test.Y, t)
     times = left / np.maximum(trained, 1.0)
     outgrown = (times > t.outgrown) & (left > t.residue * null)
-    if not np.all(trained < t.left):  # more must be left of a larger error
-        outgrown &= times > t.outgrowing * null / np.maximum(null_trained, 1.0)
+    if not np.all(trained < t.left):  # errors pile up, and held-out recordings may go farther
+        outgrown &= times > t.outgrowing * np.maximum(t.outgrown, null / np.maximum(null_trained, 1.0))
     if np.any(outgrown) and not holds_in_pieces(problem, h, t.left, t.share):
         return f"on held-out recordings it leaves {np.max(times):.0f} times as much as in training"
     return ""

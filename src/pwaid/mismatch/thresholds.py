@@ -44,6 +44,6 @@ class Thresholds:
     # explain to `certain` where likelihoods see nothing in it,)
     reach: float = 2.9  # no nominal parameter may have moved by more than this many tolerances,
     outgrown: float = 4.0  # and held-out recordings may not leave this many times more than training,
-    outgrowing: float = 2.0  # (above the floor, and this many times more than the null's error grows;)
+    outgrowing: float = 2.0  # (above the floor this many times that, and this many times what the null's error grows;)
     outdone: float = 0.5  # no law refused so may leave less than this share of what the effect leaves
     moved: float = 0.02  # a parameter that moved by this share of its value counts as wrong
