@@ -54,6 +54,18 @@ def test_the_far_end_of_a_twisted_shaft_is_a_speed():
     assert s.state_units[1] == {"rad": 1, "s": -1} and s.entry[1] == (1, 1, 2)
 
 
+def test_a_speed_in_rpm_keeps_its_unit_beside_an_angle_in_degrees():
+    def table(t, x, u, params):
+        return [6.0 * x[1], (u[0] - params["b"] * x[1]) / params["J"] * 30 / np.pi]
+
+    s = structure(system(table, lambda t, x, u, p: x, ["phi", "n"], ["angle", "speed"], J=0.05, b=0.005), ["N m"],
+                  ["deg", "rpm"])
+    assert s.state_units == ({"deg": 1}, {"rev": 1, "min": -1}) and s.force_units[1] == {"N": 1, "m": 1}
+    alone = structure(system(table, lambda t, x, u, p: x[:1], ["phi", "n"], ["angle"], J=0.05, b=0.005), ["N m"],
+                      ["deg"])
+    assert alone.state_units[1] != {"deg": 1, "s": -1}  # six times its rate
+
+
 def test_states_and_units_follow_the_gain_of_an_output():
     s = structure(system(motor, lambda t, x, u, p: np.array([np.rad2deg(x[0]), x[1] * 30 / np.pi]), ["q", "w"],
                          ["angle", "speed"], J=0.1, b=0.2), ["N m"], ["deg", "rpm"])

@@ -65,7 +65,7 @@ def find_structure(plant: Plant, states, inputs, outputs, input_units, output_un
     for i, k in averaged.items():
         units[i] = units[i] or out_units[k]
     _drop_impossible(units, partner, ratio)
-    _spread_units(units, partner)
+    _spread_units(units, partner, ratio)
     for i in range(nx):
         kinds[i] = _kind_of(i, plant, partner, units, shown.state, output_units, averaged)
     _relative_speeds(kinds, units, plant, points)
@@ -204,9 +204,10 @@ def _drop_impossible(units, partner, ratio):
                 partner[i], ratio[i] = -1, 0.0
 
 
-def _spread_units(units, partner):
+def _spread_units(units, partner, ratio):
+    """A position's unit from its speed's and the reverse, where the one is the rate of the other."""
     for i, j in enumerate(partner):
-        if j >= 0:
+        if j >= 0 and abs(ratio[i] - 1.0) < 1e-6:
             if units[i] and not units[j]:
                 units[j] = {**units[i], "s": units[i].get("s", 0) - 1}
             elif units[j] and not units[i]:

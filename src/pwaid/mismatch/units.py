@@ -154,12 +154,15 @@ def factor_of(symbol: str) -> float:
 def scaled_unit(text: str, gain: float, offset: float = 0.0) -> dict[str, int]:
     """The unit of x where y = gain x + offset has the unit `text`: SI where the gain converts, {} where it does not."""
     powers = parse_unit(text)
+    turning = not powers and "rpm" in text.lower()
+    if turning and text.lower() == "rpm":
+        powers = {"rev": 1, "min": -1}
     kelvin = offset and unit_kind(text) == "temperature"  # an absolute temperature, read in another scale
     if abs(gain - 1) < 1e-6 and not kelvin:
         return powers
     size = math.prod(factor_of(s) ** n for s, n in powers.items())
-    if not powers and "rpm" in text.lower():
-        powers, size = {"rad": 1, "s": -1}, 2 * math.pi / 60 * (1e3 if "krpm" in text.lower() else 1.0)
+    if turning and not powers:
+        powers, size = {"rad": 1, "s": -1}, 2e3 * math.pi / 60
     if abs(size * abs(gain) - 1) > 1e-3:
         return {}
     found: dict[str, int] = {}
