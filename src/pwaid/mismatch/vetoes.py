@@ -6,7 +6,9 @@ import numpy as np
 
 from pwaid.mismatch.floor import white_level
 from pwaid.mismatch.hypotheses import Hypothesis, floor_square, mean_square, share, without
+from pwaid.mismatch.lawcurve import law_over
 from pwaid.mismatch.nullfit import Problem
+from pwaid.mismatch.thresholds import Thresholds
 
 __all__ = ["YIELDS", "at_bound", "outside", "veto"]
 
@@ -41,10 +43,7 @@ _PERIODS = 1.5
 
 # A bent spring beside another force of the same position: where their sum departs from a straight line by less than
 # this share, they are the series of something else, unless they explain everything.
-_STRAIGHT = 0.1
-
-# Everything is explained where no more than this multiple of the floor's mean square is left.
-_FLOOR = 1.3
+_STRAIGHT, _FORCES = 0.1, {"constant_load", "position_ripple", "quadratic_stiffness", "cubic_stiffness"}
 
 # A limit that the motion would pass in a smaller share of the samples clips nothing.
 _IDLE = 0.002
@@ -94,7 +93,7 @@ def veto(problem: Problem, h: Hypothesis) -> str:
         reason = _VETOES[e.effect.id](problem, h, e, values) if e.effect.id in _VETOES else ""
         if reason:
             return reason
-    if len(h.located) > 1 and not _at_floor(problem, h) and _straight(h):
+    if len(h.located) > 1 and not _at_floor(problem, h) and _straight(problem, h):
         return "where the recordings go, its forces add up to a straight line: a spring with a load"
     return ""
 
@@ -148,21 +147,23 @@ _VETOES = {**dict.fromkeys(_SPRINGS, _spring), "hysteretic_spring": _hysteretic_
 
 
 def _at_floor(problem: Problem, h: Hypothesis) -> bool:
-    return max(h.train_error, h.test_error) <= _FLOOR * floor_square(problem)
+    """Whether everything is explained: what it leaves needs no excuse, in training and held out."""
+    return max(h.train_error, h.test_error) <= Thresholds.near * floor_square(problem)
 
 
-def _straight(h: Hypothesis) -> bool:
+def _straight(problem: Problem, h: Hypothesis) -> bool:
     """Whether all its laws are forces of one position at one place, a bent spring among them and no linear one, whose
     sum is as good as straight over the visited positions."""
-    forces = {"constant_load": lambda x, q: np.full_like(x, q[0]),
-              "position_ripple": lambda x, q: q[0] * np.sin(q[1] * x + q[2]),
-              "quadratic_stiffness": lambda x, q: q[0] * x**2, "cubic_stiffness": lambda x, q: q[0] * x**3}
     ids = {e.effect.id for e in h.located}
-    if not ids <= forces.keys() or not ids & _SPRINGS.keys() or len({e.place.signal for e in h.located}) > 1:
+    if not ids <= _FORCES or not ids & _SPRINGS.keys() or len({e.place.signal for e in h.located}) > 1:
         return False
     bent = next(e for e in h.located if e.effect.id in _SPRINGS)
-    x = _positions(h, bent)
-    force = sum(forces[e.effect.id](x, q) for e, q in zip(h.located, h.values(), strict=True))
+    x = np.quantile(_positions(h, bent), np.linspace(0.0, 1.0, 200))
+    name = problem.plant.state_names[bent.place.ii[5]]
+    curves = [law_over(problem, h, name, x, k) for k in range(len(h.located))]
+    if any(c is None for c in curves):
+        return False
+    force = np.sum(curves, axis=0)
     line = np.polynomial.Polynomial.fit(x, force, 1)
     return bool(np.std(force - line(x)) < _STRAIGHT * np.std(force))
 
