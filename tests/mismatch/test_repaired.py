@@ -71,6 +71,17 @@ def stepped(rates, dt=0.02):
     return lambda t, x, u, params: x + dt * rates(t, x, u, params)
 
 
+def exactly(rates, dt=0.02):
+    """The same equations as a discrete simulator that steps as a machine moves: a Runge-Kutta step a sample."""
+    def update(t, x, u, params):
+        k1 = rates(t, x, u, params)
+        k2 = rates(t, x + dt / 2 * k1, u, params)
+        k3 = rates(t, x + dt / 2 * k2, u, params)
+        return x + dt / 6 * (k1 + 2 * k2 + 2 * k3 + rates(t, x + dt * k3, u, params))
+
+    return update
+
+
 def _linear(dt):
     A, B = np.array([[0.0, 1.0], [-3.0, -0.4]]), np.array([[0.0], [0.9]])
     if dt:
@@ -98,6 +109,8 @@ PLANTS = {  # simulator, input unit, output unit
     "discrete": (_linear(0.02), "N", "m"),
     "stepped mass": (control.nlsys(stepped(sprung), lambda t, x, u, params: x[:1], inputs=["F"], outputs=["x"],
                                    states=["x", "v"], params={"m": 0.8, "k": 6.0, "b": 0.2}, dt=0.02), "N", "m"),
+    "exact mass": (control.nlsys(exactly(sprung), lambda t, x, u, params: x[:1], inputs=["F"], outputs=["x"],
+                                 states=["x", "v"], params={"m": 0.8, "k": 6.0, "b": 0.2}, dt=0.02), "N", "m"),
     "stepped tanks": (control.nlsys(stepped(tanks), lower_level, inputs=["pump"], outputs=["level"],
                                     states=["h1", "h2"], params={"a": 0.3, "b": 0.5, "c": 0.4}, dt=0.02), "V", "m"),
 }
@@ -113,7 +126,7 @@ def _setting(name):
     free = tuple(plant.parameters)[:2]
     s = find_structure(plant, states, data.U, data.Y, [input_unit], [output_unit] * ny, data.sample_time, 1.6, free)
     return plant, data, s, Settings(plant, s.partner, s.ratio, free, np.full(len(free), 0.3), substeps=2,
-                                   rates_shown=rates_shown(s))
+                                   rates_shown=rates_shown(s), share=s.share)
 
 
 def _hypothesis(settings, located, data):

@@ -53,6 +53,33 @@ def test_columns_equal_the_compiled_loop(name, first_order_hold):
         np.testing.assert_allclose(got[1], want[1], rtol=1e-9, atol=1e-11)
 
 
+def exact(t, x, u, params):
+    """A step of a mass on a spring to second order, with the position moving with the mean speed."""
+    v = x[1] + 0.02 / params["m"] * (u[0] - params["b"] * x[1] - params["k"] * (x[0] + 0.01 * x[1]))
+    return np.array([x[0] + 0.01 * (x[1] + v), v])
+
+
+def euler(t, x, u, params):
+    v = x[1] + 0.02 / params["m"] * (u[0] - params["b"] * x[1] - params["k"] * x[0])
+    return np.array([x[0] + 0.02 * v, v])
+
+
+@pytest.mark.parametrize("update, share", [(exact, 0.5), (euler, 1.0)])
+@pytest.mark.parametrize("name", ["coulomb_friction", "quadratic_drag", "actuator_lag", "end_stop", "input_play"])
+def test_columns_equal_the_compiled_loop_for_next_states(update, share, name):
+    plant = as_plant(control.nlsys(update, output, inputs=["F"], outputs=["x"], states=["x", "v"],
+                                   params={"m": 1.0, "b": 0.4, "k": 3.0}, dt=0.02))
+    s = find_structure(plant, RNG.normal(size=(64, 2)), DATA.U, DATA.Y, ["N"], ["m"], 0.02, 1.8, ("m", "b", "k"))
+    assert s.share == share
+    located = tuple(e for e in locate_effects(CATALOGUE, s) if e.effect.id == name)[:1]
+    runs = []
+    for p in (plant, replace(plant, rhs=None, out=None, takes_arrays=False)):
+        m = Model(Settings(p, s.partner, s.ratio, ("m", "b", "k"), np.full(3, 0.3), share=s.share), located)
+        runs.append(m.simulate(*point(m), DATA))
+    np.testing.assert_allclose(runs[1][0], runs[0][0], rtol=1e-9, atol=1e-11)
+    np.testing.assert_allclose(runs[1][1], runs[0][1], rtol=1e-9, atol=1e-11)
+
+
 def test_many_simulations_in_one_sweep_give_the_same_jacobian():
     fast, slow = model("coulomb_friction", None), model("coulomb_friction", True)
     theta, X0 = point(fast)

@@ -76,13 +76,13 @@ def still(t, x, u, p, out):
 
 
 @njit(
-    types.void(RHS_TYPE, f8, f8, _V, _V, _V, _V, i8[::1], _V, _V, _V, _V),
+    types.void(RHS_TYPE, f8, f8, _V, _V, _V, _V, i8[::1], _V, _V, _V, _V, i8[::1], _V),
     cache=True, nogil=True, error_model="numpy",
 )
-def _mobility(rhs, t, step, x, u, p, col, ii, head, base, us, xs):
+def _mobility(rhs, t, step, x, u, p, col, ii, head, base, us, xs, partner, carry):
     """Acceleration per unit force at the place ii describes, into col; head is its first nx numbers, xs the plant's.
 
-    `step`: seconds over which the plant's rhs is a change, 1 for derivatives.
+    `step`: seconds over which the plant's rhs is a change, 0 for derivatives.
     """
     for i in range(col.size):
         col[i] = 0.0
@@ -95,11 +95,12 @@ def _mobility(rhs, t, step, x, u, p, col, ii, head, base, us, xs):
         us[ii[2]] += 1.0 if ii[1] == 0 else -1.0
         rhs(t, xs, us, p, head)
         for i in range(xs.size):
-            head[i] = (head[i] - base[i]) / step
-    elif ii[3] >= 0:
-        col[ii[2]] = 1.0 / p[ii[3]]
-    else:
-        col[ii[2]] = 1.0
+            head[i] = (head[i] - base[i]) / (step if step > 0.0 else 1.0)
+        return
+    col[ii[2]] = 1.0 / p[ii[3]] if ii[3] >= 0 else 1.0
+    for i in range(xs.size):  # a discrete simulator's positions move with their speeds' changes within a step
+        if partner[i] == ii[2]:
+            col[i] += 0.5 * step * carry[i] * col[ii[2]]
 
 
 @njit(types.void(_V, i8, f8), cache=True, nogil=True, error_model="numpy")
@@ -140,10 +141,11 @@ def _input_at(U, first, last, k, s, S, delay, u, Ts, hold):
 
 @njit(
     types.void(RHS_TYPE, EFFECT_TYPE, EFFECT_TYPE, EFFECT_TYPE, i8, i8, f8, f8, _V, _V, _V, _V, _V, _V,
-               i8[:, ::1], f8[:, ::1], i8[::1], i8[::1], _V, _V),
+               i8[:, ::1], f8[:, ::1], i8[::1], i8[::1], _V, i8[::1], _V, _V),
     cache=True, nogil=True, error_model="numpy",
 )
-def _accelerations(rhs, e0, e1, e2, ne, nx, t, h, x, xs, u, us, p, ps, II, Q, proximal, shown, gain, y):
+def _accelerations(rhs, e0, e1, e2, ne, nx, t, h, x, xs, u, us, p, ps, II, Q, proximal, partner, carry, shown, gain,
+                   y):
     """Add to outputs that show the rate of a state what the effects add to that rate, dry friction included: the
     plant's own output function knows nothing of it. xs, us, ps are what the effects let the plant see."""
     nt = x.size
@@ -162,7 +164,8 @@ def _accelerations(rhs, e0, e1, e2, ne, nx, t, h, x, xs, u, us, p, ps, II, Q, pr
     for e in range(ne):
         if proximal[e] > 0:
             column = np.zeros(nt)
-            _mobility(rhs, t, 1.0, x, u, p, column, II[e], column[:nx], np.zeros(nx), np.zeros(u.size), np.zeros(nx))
+            _mobility(rhs, t, 0.0, x, u, p, column, II[e], column[:nx], np.zeros(nx), np.zeros(u.size), np.zeros(nx),
+                      partner, carry)
             if proximal[0] == 0:
                 e0(6, t, brief, x, xs, us, ps, column, II[0], Q[0])
             if ne > 1 and proximal[1] == 0:
@@ -181,23 +184,26 @@ def _accelerations(rhs, e0, e1, e2, ne, nx, t, h, x, xs, u, us, p, ps, II, Q, pr
 
 
 def simulate_segments(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, discrete, p, II, Q,
-                      proximal, partner, ratio, shown, gain, X, Y, limit) -> int:
+                      proximal, partner, carry, shown, gain, X, Y, limit) -> int:
     """Simulate every segment from its own start; fill the states X and the outputs Y at the samples.
+
+    discrete: 0 for derivatives, 1 for next states with what the effects do held over the step, 2 with the mean of what
+    they do at both ends. carry (nx,): half a step times it is what a position moves when its speed changes in the step.
 
     Returns the number of segments that left the range |x| <= limit or became NaN; from there on
     their outputs are filled with `limit`.
     """
     return _loop(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, discrete, p, II, Q, proximal,
-                 partner, ratio, shown, gain, X, Y, limit, _work(X0, U, Y, p))
+                 partner, carry, shown, gain, X, Y, limit, _work(X0, U, Y, p))
 
 
 def simulate_variants(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, discrete, p, II, Q,
-                      proximal, partner, ratio, shown, gain, Y, limit) -> int:
+                      proximal, partner, carry, shown, gain, Y, limit) -> int:
     """The same for several X0, delay, p and Q, the first axis of each and of Y: one call, since handing compiled
     functions over costs 0.6 ms."""
     X = np.empty((len(U), X0.shape[2]))
     return _variants(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, discrete, p, II, Q, proximal,
-                     partner, ratio, shown, gain, X, Y, limit, _work(X0[0], U, Y[0], p[0]))
+                     partner, carry, shown, gain, X, Y, limit, _work(X0[0], U, Y[0], p[0]))
 
 
 def _work(X0, U, Y, p) -> np.ndarray:
@@ -211,7 +217,7 @@ def _work(X0, U, Y, p) -> np.ndarray:
     cache=True, nogil=True, error_model="numpy",
 )
 def _loop(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, discrete, p, II, Q,
-          proximal, partner, ratio, shown, gain, X, Y, limit, work):
+          proximal, partner, carry, shown, gain, X, Y, limit, work):
     """The loop of `simulate_segments`; work (14, longest) holds what would otherwise be allocated.
 
     One body on purpose: passing its two dozen arrays to inner functions, or slicing them inside the loops, costs
@@ -228,9 +234,11 @@ def _loop(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, dis
     i0, i1, i2 = _borrowed(II[0]), _borrowed(II[1]), _borrowed(II[2])
     q0, q1, q2 = _borrowed(Q[0]), _borrowed(Q[1]), _borrowed(Q[2])
     h0, h1, h2 = m0[:nx], m1[:nx], m2[:nx]
-    xh, xsh, kh, toth = x[:nx], xs[:nx], k[:nx], total[:nx]
+    xh, xsh, kh, toth, starth = x[:nx], xs[:nx], k[:nx], total[:nx], start[:nx]
     h, failed = Ts / S, 0
-    stages, per = (1, Ts) if discrete > 0 else (4, 1.0)
+    stages, per = 4, 0.0
+    if discrete > 0:
+        stages, per = (2 if discrete > 1 and ne > 0 else 1), Ts
     any_prox = False
     for e in range(ne):
         if proximal[e] > 0:
@@ -267,7 +275,8 @@ def _loop(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, dis
                 e2(1, t, 0.0, x, xs, us, ps, k, i2, q2)
             out(t, xh, us, ps, y)
             if accelerated:
-                _accelerations(rhs, e0, e1, e2, ne, nx, t, h, x, xs, u, us, p, ps, II, Q, proximal, shown, gain, y)
+                _accelerations(rhs, e0, e1, e2, ne, nx, t, h, x, xs, u, us, p, ps, II, Q, proximal, partner, carry,
+                               shown, gain, y)
             if ne > 0:
                 e0(3, t, Ts, x, xs, us, ps, y, i0, q0)
             if ne > 1:
@@ -293,19 +302,19 @@ def _loop(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, dis
                             sliding = False
                     while True:  # a second time, not sliding, where a piece holds an event
                         if p0:
-                            _mobility(rhs, ts, per, x, u, p, m0, i0, h0, toth, us, xsh)
+                            _mobility(rhs, ts, per, x, u, p, m0, i0, h0, toth, us, xsh, partner, carry)
                             if ne > 1 and not p1:
                                 e1(6, ts, hh, x, xs, u, p, m0, i1, q1)
                             if ne > 2 and not p2:
                                 e2(6, ts, hh, x, xs, u, p, m0, i2, q2)
                         if p1:
-                            _mobility(rhs, ts, per, x, u, p, m1, i1, h1, toth, us, xsh)
+                            _mobility(rhs, ts, per, x, u, p, m1, i1, h1, toth, us, xsh, partner, carry)
                             if not p0:
                                 e0(6, ts, hh, x, xs, u, p, m1, i0, q0)
                             if ne > 2 and not p2:
                                 e2(6, ts, hh, x, xs, u, p, m1, i2, q2)
                         if p2:
-                            _mobility(rhs, ts, per, x, u, p, m2, i2, h2, toth, us, xsh)
+                            _mobility(rhs, ts, per, x, u, p, m2, i2, h2, toth, us, xsh, partner, carry)
                             if not p0:
                                 e0(6, ts, hh, x, xs, u, p, m2, i0, q0)
                             if not p1:
@@ -340,8 +349,9 @@ def _loop(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, dis
                             before[i] = x[i]
                             total[i] = 0.0
                         for stage in range(stages):
-                            ahead = 0.0 if stage == 0 else (hh if stage == 3 else 0.5 * hh)
-                            weight = 2.0 if stage == 1 or stage == 2 else 1.0
+                            ahead = 0.0 if stage == 0 else (hh if stage == stages - 1 else 0.5 * hh)
+                            weight = 2.0 if 0 < stage < stages - 1 else 1.0
+                            now = ts if discrete > 0 else ts + ahead
                             for i in range(nt):
                                 w[i] = x[i] + ahead * k[i] if stage > 0 else x[i]
                                 xs[i] = w[i]
@@ -351,33 +361,43 @@ def _loop(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, dis
                             for j in range(n_p):
                                 ps[j] = p[j]
                             if ne > 0:
-                                e0(1, ts + ahead, hh, w, xs, us, ps, k, i0, q0)
+                                e0(1, now, hh, w, xs, us, ps, k, i0, q0)
                             if ne > 1:
-                                e1(1, ts + ahead, hh, w, xs, us, ps, k, i1, q1)
+                                e1(1, now, hh, w, xs, us, ps, k, i1, q1)
                             if ne > 2:
-                                e2(1, ts + ahead, hh, w, xs, us, ps, k, i2, q2)
-                            rhs(ts + ahead, xsh, us, ps, kh)
-                            if discrete > 0:
+                                e2(1, now, hh, w, xs, us, ps, k, i2, q2)
+                            if discrete > 0:  # the simulator's own step, with what the laws do at its end
                                 for i in range(nx):
-                                    k[i] = (k[i] - xs[i]) / Ts
+                                    starth[i] = xs[i] - w[i] + x[i]
+                                rhs(now, starth, us, ps, kh)
+                                for i in range(nx):
+                                    k[i] = (k[i] - starth[i]) / Ts
+                                    start[i] = k[i]
+                            else:
+                                rhs(now, xsh, us, ps, kh)
                             if ne > 0:
-                                e0(2, ts + ahead, hh, w, xs, us, ps, k, i0, q0)
+                                e0(2, now, hh, w, xs, us, ps, k, i0, q0)
                             if ne > 1:
-                                e1(2, ts + ahead, hh, w, xs, us, ps, k, i1, q1)
+                                e1(2, now, hh, w, xs, us, ps, k, i1, q1)
                             if ne > 2:
-                                e2(2, ts + ahead, hh, w, xs, us, ps, k, i2, q2)
+                                e2(2, now, hh, w, xs, us, ps, k, i2, q2)
+                            if discrete > 0:
+                                for i in range(nx):  # its positions move with what the laws change of their speeds
+                                    j = partner[i]
+                                    if j >= 0:
+                                        k[i] += 0.5 * Ts * carry[i] * (k[j] - start[j])
                             if sliding:
                                 if p0:
-                                    e0(5, ts + ahead, hh, w, m0, us, ps, k, i0, q0)
+                                    e0(5, now, hh, w, m0, us, ps, k, i0, q0)
                                 if p1:
-                                    e1(5, ts + ahead, hh, w, m1, us, ps, k, i1, q1)
+                                    e1(5, now, hh, w, m1, us, ps, k, i1, q1)
                                 if p2:
-                                    e2(5, ts + ahead, hh, w, m2, us, ps, k, i2, q2)
+                                    e2(5, now, hh, w, m2, us, ps, k, i2, q2)
                             for i in range(nt):
                                 total[i] += weight * k[i]
                         if discrete > 0:
                             for i in range(nt):
-                                x[i] += Ts * k[i]
+                                x[i] += Ts / stages * total[i]
                         else:
                             for i in range(nt):
                                 x[i] += hh / 6.0 * total[i]
@@ -400,7 +420,7 @@ def _loop(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, dis
                                     j = partner[i]
                                     if j >= 0:
                                         at_rest = before[j] == 0.0 and x[j] == 0.0
-                                        x[i] = before[i] if at_rest else x[i] + 0.5 * hh * ratio[i] * (x[j] - w[j])
+                                        x[i] = before[i] if at_rest else x[i] + 0.5 * hh * carry[i] * (x[j] - w[j])
                         event = False
                         if any_prox and discrete == 0:
                             for e in range(ne):  # a reversal, a stop or a release inside this piece
@@ -435,10 +455,10 @@ def _loop(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, dis
     cache=True, nogil=True, error_model="numpy",
 )
 def _variants(rhs, out, e0, e1, e2, ne, nx, X0, segments, U, delay, Ts, S, hold, discrete, p, II, Q,
-              proximal, partner, ratio, shown, gain, X, Y, limit, work):
+              proximal, partner, carry, shown, gain, X, Y, limit, work):
     """`_loop` for every variant."""
     failed = 0
     for k in range(p.shape[0]):
         failed += _loop(rhs, out, e0, e1, e2, ne, nx, X0[k], segments, U, delay[k], Ts, S, hold, discrete, p[k], II,
-                        Q[k], proximal, partner, ratio, shown, gain, X, Y[k], limit, work)
+                        Q[k], proximal, partner, carry, shown, gain, X, Y[k], limit, work)
     return failed

@@ -115,6 +115,20 @@ class Settings:
     first_order_hold: bool = False
     feedback: bool = False  # the recordings come from a closed loop
     rates_shown: tuple[tuple[int, int, float], ...] = ()  # output, state and gain of outputs that show a state's rate
+    share: float = 0.5  # of the change of a speed within a step that the position sees
+
+    @property
+    def averaged(self) -> bool:
+        """Whether what laws do at both ends of a discrete simulator's step is averaged: where it steps exactly. Euler's
+        methods hold every force over the step, and the laws' too."""
+        return bool(self.plant.dt) and self.share == 0.5
+
+    @property
+    def carried(self) -> list[tuple[int, int, float]]:
+        """Of a discrete simulator: position, speed, and what the one moves per change of the other within a step, per
+        second."""
+        step = self.share * (self.plant.dt or 0.0)
+        return [(i, int(j), step * float(self.ratio[i])) for i, j in enumerate(self.partner) if step and j >= 0]
 
 
 def acting_order(located) -> list[int]:
@@ -273,8 +287,9 @@ class Model:
         right-hand side is not compiled."""
         plant, s = self.settings.plant, self.settings
         simulate(plant.rhs or still, plant.out or still, *self.kernels, len(self.located), self.nx, start, segments, U,
-                 delay, sample_time, 1 if plant.dt else self.substeps, float(s.first_order_hold), int(plant.dt > 0),
-                 plant.full(p), self.II, Q, self.proximal, s.partner, s.ratio, self.shown, self.gain, *filled, LIMIT)
+                 delay, sample_time, 1 if plant.dt else self.substeps, float(s.first_order_hold),
+                 int(plant.dt > 0) + s.averaged, plant.full(p), self.II, Q, self.proximal, s.partner,
+                 2 * s.share * s.ratio, self.shown, self.gain, *filled, LIMIT)
 
     def simulate_many(self, asked, data: Dataset) -> list[np.ndarray]:
         """Outputs (N, ny) for several (theta, X0), in one call."""

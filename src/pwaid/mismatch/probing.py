@@ -48,7 +48,7 @@ def find_structure(plant: Plant, states, inputs, outputs, input_units, output_un
     rng = np.random.default_rng(0)
     input_range = np.min(inputs, axis=0), np.max(inputs, axis=0)
     points = _points(plant, rng, low, high, rms_u, input_range)
-    partner, ratio = _kinematics(plant, points, low, high)
+    partner, ratio, share = _kinematics(plant, points, low, high)
     shown = _output_map(plant, points)
     for k, i in enumerate(shown.state):
         if i >= 0:  # a simulator that lacks friction or a stop goes elsewhere than the machine
@@ -87,7 +87,7 @@ def find_structure(plant: Plant, states, inputs, outputs, input_units, output_un
     ratios = np.std(outputs, axis=0)[active] / np.maximum(np.std(dy, axis=0)[active], 1e-300)
     time_scale = float(np.clip(np.median(ratios) if ratios.size else 1.0, 2 * sample_time, length / 4))
     return Structure(
-        plant, tuple(kinds), partner, ratio, forces.entry, forces.scale, tuple(units), forces.units,
+        plant, tuple(kinds), partner, ratio, share, forces.entry, forces.scale, tuple(units), forces.units,
         forces.inertia_units, low, high, rms_u,
         *input_range, in_units, np.min(outputs, axis=0),
         np.max(outputs, axis=0), out_units, shown, time_scale, float(length), tuple(free), forces.mobility,
@@ -153,10 +153,11 @@ def _joined_motion(points, states, kinds, low, high):
 
 
 def _kinematics(plant, points, low, high):
+    """Of each state the speed it is a position of (-1: none), their ratio, and `Structure.share`."""
     nx = plant.sizes[0]
-    partner, ratio = -np.ones(nx, dtype=np.int64), np.zeros(nx)
+    partner, ratio, found = -np.ones(nx, dtype=np.int64), np.zeros(nx), []
     if plant.black_box is not None or (plant.dt and plant.linear):  # their states need not be anything physical
-        return partner, ratio
+        return partner, ratio, 0.5
     F = np.array([plant.derivative(x, u) for x, u in points])
     Xs = np.array([x for x, _ in points])
     for i in range(nx):
@@ -164,17 +165,19 @@ def _kinematics(plant, points, low, high):
             if i == j or np.ptp(Xs[:, j]) == 0:
                 continue
             # over a step of a discrete simulator the speed is its mean, or its next value
-            seen = [(Xs[:, j] + share * plant.dt * F[:, j], STEPPED) for share in (0.5, 1.0) if plant.dt]
-            for speed, trifle in [(Xs[:, j], 1e-12), *seen]:
+            later = ((0.0, 1e-12), (0.5, STEPPED), (1.0, STEPPED)) if plant.dt else ((0.0, 1e-12),)
+            for share, trifle in later:
+                speed = Xs[:, j] + share * plant.dt * F[:, j] if share else Xs[:, j]
                 c = F[:, i] @ speed / max(speed @ speed, 1e-300)
                 if partner[i] < 0 and c != 0 and np.allclose(F[:, i], c * speed, rtol=1e-9,
                                                              atol=trifle * np.max(np.abs(F[:, i]))):
                     # a store emptying into the next is not a speed: the other way round must not hold a loss only
                     partner[i], ratio[i] = j, c
+                    found.append(share)
     for i in range(nx):  # a chain position -> speed -> acceleration keeps only its first link
         if partner[i] >= 0 and partner[partner[i]] >= 0:
             partner[partner[i]] = -1
-    return partner, ratio
+    return partner, ratio, found[0] if plant.dt and found else 0.5
 
 
 def _output_map(plant, points) -> OutputMap:

@@ -171,13 +171,20 @@ def _simulator(model: Model, laws) -> str:
     delayed = [law for law in laws if law.located.effect.delays]
     rates_shown = s.rates_shown if laws else ()
     seen = _calls(laws, "seen", "t, {h}, state, seen, inputs, params", 8)
+    rates = _calls(laws, "rates", "t, h, state, inputs, params, rates", 8)
+    moving, averaged = bool(rates and s.carried), bool(laws) and s.averaged
     fill = {
         "NX": len(plant.state_names),
         "FOUND": f"(found - state[:{len(plant.state_names)}]) / SAMPLE_TIME" if plant.dt else "found",
-        "DISCRETELY": ", changes per second of the discrete simulator" if plant.dt else "",
+        "DISCRETELY": ", changes per second of the discrete simulator" * bool(plant.dt)
+        + ", which begins `moved` before the laws" * averaged,
+        "MOVED": ", moved=0.0" * averaged, "BEFORE": " - moved" * averaged,
         "SEEN": seen.replace("{h}", "h"),
         "SEEN_AT_SAMPLE": "        seen = state.copy()\n" + seen.replace("{h}", "0.0") if seen or rates_shown else "",
-        "RATES": _calls(laws, "rates", "t, h, state, inputs, params, rates", 8),
+        "RATES": rates,
+        "OWN": parts.OWN if moving else "", "CARRIED": parts.CARRIED if moving else "",
+        "CARRIES": f"    carried = {s.carried}  # position, speed, and what it moves with a change of that in a step\n"
+        if moving or (dry and s.carried) else "",
         "SENSORS": _calls(laws, "sensor", "t, SAMPLE_TIME, state, inputs, params, outputs", 8),
         "MEMORY_CALLS": _memory_calls(laws, model.chained),
     }
@@ -185,11 +192,14 @@ def _simulator(model: Model, laws) -> str:
     if dry:
         fill |= {"DRY": _dry(laws, list(plant.parameters)), "SPEED_OF": s.partner.tolist(),
                  "SPEED_RATIO": s.ratio.tolist(),
+                 "COLUMN_CARRIED": parts.COLUMN_CARRIED if s.carried else "",
                  "MOBILITY": _calls(laws, "mobility", "t, 0.0, state, inputs, params, column", 8)}
         text += parts.FRICTION
     if plant.dt:
         text += parts.DISCRETE_STEP
-        fill["FRICTION_AT_REST"] = parts.DISCRETE_FRICTION if dry else ""
+        fill |= {"FRICTION_AT_REST": parts.DISCRETE_FRICTION if dry else "",
+                 "AVERAGED": parts.AVERAGED if averaged else "",
+                 "MEAN": ", with the mean of what the laws do at both of its ends" * averaged}
     else:
         text += parts.DRY_STEP if dry else parts.RUNGE_KUTTA_STEP
     if delayed:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-__all__ = ["ACCELERATIONS", "ARGUMENTS_BUILD", "BUILD", "DELAY", "DELAYED_AT_SAMPLE", "DISCRETE_FRICTION",
-           "DISCRETE_STEP", "DRY_STEP", "FRICTION", "FRICTION_IN_RATES", "GIVEN", "LINEAR_BUILD", "PLANT", "REMEMBER",
-           "RUNGE_KUTTA_STEP", "SENSOR_MEMORY", "SHOW_RATES", "SIMULATE", "UPDATE", "filled", "rule"]
+__all__ = ["ACCELERATIONS", "ARGUMENTS_BUILD", "AVERAGED", "BUILD", "CARRIED", "COLUMN_CARRIED", "DELAY",
+           "DELAYED_AT_SAMPLE", "DISCRETE_FRICTION", "DISCRETE_STEP", "DRY_STEP", "FRICTION", "FRICTION_IN_RATES",
+           "GIVEN", "LINEAR_BUILD", "OWN", "PLANT", "REMEMBER", "RUNGE_KUTTA_STEP", "SENSOR_MEMORY", "SHOW_RATES",
+           "SIMULATE", "UPDATE", "filled", "rule"]
 
 
 def rule(title: str) -> str:
@@ -29,6 +30,7 @@ def make_repaired(nominal_update, nominal_output, others=None):
 
     others: what the nominal params hold besides numbers.
     """
+«CARRIES»
     def nominal(t, state, inputs, params):
         params = {**(others or {}), **params}
         found = np.asarray(nominal_update(t, state[:«NX»], inputs, params), dtype=float).ravel()
@@ -40,11 +42,13 @@ def make_repaired(nominal_update, nominal_output, others=None):
 «SEEN»
         return seen, inputs, params
 
-    def derivative(t, h, state, inputs, params):
+    def derivative(t, h, state, inputs, params«MOVED»):
         """Derivatives of all states«DISCRETELY»."""
         (seen, inputs, params), rates = through(t, h, state, inputs, params), np.zeros(state.size)
-        rates[:«NX»] = nominal(t, seen, inputs, params)
+        rates[:«NX»] = nominal(t, seen«BEFORE», inputs, params)
+«OWN»
 «RATES»
+«CARRIED»
         return rates
 '''
 
@@ -61,10 +65,12 @@ RUNGE_KUTTA_STEP = '''
 
 DISCRETE_STEP = '''
     def step(t, h, state, inputs, params):
-        """One sample of the nominal simulator."""
+        """One sample of the nominal simulator«MEAN»."""
 «MEMORY_CALLS»
         before = state
-        state = state + h * derivative(t, h, state, inputs, params)
+        moved = h * derivative(t, h, state, inputs, params)
+«AVERAGED»
+        state = state + moved
 «FRICTION_AT_REST»
         return state
 '''
@@ -85,6 +91,7 @@ FRICTION = '''
             column[:«NX»] = nominal(t, state, more, params) - nominal(t, state, inputs, params)
         else:
             column[index] = 1.0 if inertia is None else 1.0 / params[inertia]
+«COLUMN_CARRIED»
 «MOBILITY»
         return column
 
@@ -97,6 +104,16 @@ FRICTION = '''
             state += column * (stopped - v) / gain
             state[speed] = stopped
 '''
+
+OWN = "        own = rates.copy()"
+
+CARRIED = '''        for i, j, share in carried:
+            rates[i] += share * (rates[j] - own[j])'''
+
+AVERAGED = "        moved = 0.5 * (moved + h * derivative(t, h, state + moved, inputs, params, moved))"
+
+COLUMN_CARRIED = '''            for i, j, share in carried:
+                column[i] += share * column[j] * (j == index)'''
 
 DISCRETE_FRICTION = '''        for level, values, speed, acts_on in dry_friction:
             size = level(t, h, state, before, *through(t, h, before, inputs, params)[1:], **values)

@@ -80,12 +80,16 @@ class _Columns:
             self.effects(0, t, h, X, XS, US, self.P, DX, only=(e,))
             self.effects(1, t, h, X, XS, US, PS, DX, only=(e,))
 
-    def rates(self, t, h, X, U, along, sliding):
-        """Derivatives, and the inputs and parameters that the laws let the plant see."""
+    def rates(self, t, h, X, U, along, sliding, moved=0.0):
+        """Derivatives, and the inputs and parameters that the laws let the plant see; the plant itself is `moved` less
+        than the laws."""
         XS, US, PS, DX = X.copy(), U.copy(), self.P.copy(), np.zeros_like(X)
         self.effects(1, t, h, X, XS, US, PS, DX)
-        DX[:, :self.nx] = self.plant.derivatives(t, XS[:, :self.nx], US, PS)
+        DX[:, :self.nx] = self.plant.derivatives(t, (XS - moved)[:, :self.nx], US, PS)
+        own = DX.copy()
         self.effects(2, t, h, X, XS, US, PS, DX)
+        for i, j, share in self.model.settings.carried:  # positions move with what the laws change of their speeds
+            DX[:, i] += share * (DX[:, j] - own[:, j])
         for e in self.dry:
             self.effects(5, t, h, X, along[e], US, PS, DX, sliding, (e,))
         return DX, US, PS
@@ -120,6 +124,8 @@ class _Columns:
             found[:, :self.nx] = (self.plant.derivatives(t, x, push, self.P) - self.plant.derivatives(t, x, U, self.P))
         else:
             found[:, ii[2]] = 1.0 / self.P[:, ii[3]] if ii[3] >= 0 else 1.0
+            for i, j, share in self.model.settings.carried:
+                found[:, i] += share * found[:, j] * (j == ii[2])
         others = [e for e in range(len(self.model.located)) if e not in self.dry]
         self.effects(6, t, 0.0, X, X, U, self.P, found, only=others)
         return found
@@ -134,6 +140,9 @@ class _Columns:
         before = X.copy()
         k1, US, PS = self.rates(t, h, X, U, along, sliding)
         if self.plant.dt:
+            if self.model.settings.averaged and self.kernels:
+                k2, US, PS = self.rates(t, h, X + Ts * k1, U, along, sliding, Ts * k1)
+                k1 = 0.5 * (k1 + k2)
             X = X + Ts * k1
         else:
             k2, _, _ = self.rates(t + h / 2, h, X + h / 2 * k1, U, along, sliding)

@@ -79,12 +79,17 @@ class OutputMap:
 @dataclass(frozen=True)
 class Structure:
     """Roles of states, inputs and outputs, with the ranges met in the recordings; `visited` are some of the states met,
-    (n, nx)."""
+    (n, nx).
+
+    `share` is how much of the change of a speed within a step the position sees: half, and in discrete simulators as
+    they do it themselves, 0 or 1 by Euler's methods, which hold every force over the step.
+    """
 
     plant: Plant
     kinds: tuple[str, ...]
     partner: np.ndarray
     ratio: np.ndarray
+    share: float
     entry: dict[int, tuple[int, int, int]]
     force_scale: dict[int, float]
     state_units: tuple[dict, ...]
