@@ -158,3 +158,37 @@ def test_a_head_offset_of_one_outlet_leaves_the_pipe_between_two_tanks_alone():
     assert decision.verdict == "one_of" and {h.ids for h in decision.members} == {("head_offset",), ("constant_load",)}
     assert best.located[0].label == "head_offset at state:h2 (through a)"
     assert best.values()[0][0] == pytest.approx(6.5, rel=0.05)
+
+
+def cascade(t, x, u, params):
+    """Two tanks of different areas that drain as roots of their levels."""
+    upper, lower = params["c1"] * np.sqrt(np.maximum(x[0], 0.0)), params["c2"] * np.sqrt(np.maximum(x[1], 0.0))
+    return np.array([(GAIN * u[0] - upper) / params["a1"], (upper - lower) / params["a2"]])
+
+
+def test_the_share_that_spills_over_is_one_of_volume():
+    """0.6 of what the upper tank spills falls into one with 1.5 times its area; its area is nominally a fifth off."""
+    true = {"c1": OUT[0], "c2": OUT[1], "a1": 0.012, "a2": 0.018}
+
+    def spilling(seed):
+        rng = np.random.default_rng(seed)
+        u = np.repeat(rng.uniform(2.5, 6.5, 12), 60)
+        x, y = np.array([0.2, 0.2]), np.empty((u.size, 2))
+        for k in range(u.size):
+            y[k] = x
+            for _ in range(20):
+                rate = cascade(0.0, x, [u[k]], true)
+                if x[0] >= 0.23 and rate[0] > 0.0:
+                    rate = np.array([0.0, rate[1] + 0.6 * rate[0] * 0.012 / 0.018])
+                x = x + PERIOD / 20 * rate
+        return Recording(PERIOD * np.arange(u.size), u[:, None], y + 1e-3 * rng.normal(size=y.shape), ("pump",),
+                         ("h1_m", "h2_m"), {"pump": "V", "h1_m": "m", "h2_m": "m"}, name=f"r{seed}.csv")
+
+    plant = control.nlsys(cascade, lambda t, x, u, params: x, inputs=["pump"], outputs=["h1_m", "h2_m"],
+                          states=["h1", "h2"], params=true | {"a1": 0.0096, "c1": 1.1 * OUT[0]})
+    runs = [spilling(s) for s in (1, 2, 3)]
+    found = collect(plant, runs[:2], runs[2:], ["c1", "c2", "a1"], effects=effect_by_id("overflow"))
+    decision = decide(found.problem, found.null, found.singles, found.pairs)
+    assert (decision.verdict, decision.chosen.ids) == ("named", ("overflow",))
+    ((level, share, *_),) = decision.chosen.values()
+    assert level == pytest.approx(0.23, rel=0.005) and share == pytest.approx(0.6, rel=0.05)

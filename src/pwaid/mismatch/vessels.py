@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 
 from pwaid.mismatch.effects.base import Place
 from pwaid.mismatch.structure import Structure
 
-__all__ = ["cascades", "heated", "neighbours", "outlets", "own_outlets", "stores"]
+__all__ = ["cascades", "heated", "neighbours", "outlets", "own_outlets", "spills", "stores"]
 
 STEP = 1e-4  # relative change of a parameter
 # what makes a temperature in it absolute
@@ -51,6 +52,52 @@ def cascades(s: Structure, kind: str) -> list[Place]:
                               levels={"position": (0.0, s.reach(i)), "second": (0.0, s.reach(j))},
                               units={"second": s.state_units[j]}))
     return places
+
+
+def spills(s: Structure) -> list[Place]:
+    """Cascades, with what the second store rises when the first one gives away what it would rise itself.
+
+    With two areas a1 and a2 that is a1/a2. It is read off the flow that the first store's level drives into the second,
+    with up to two parameters that it is proportional to, or inversely; 1 where the level drives other flows too.
+    """
+    places = []
+    for place in cascades(s, "fluid"):
+        gain, shaping = _passed_on(s, place.ii[4], place.ii[6])
+        ii, constants = list(place.ii), [gain]
+        for slot, (n, value, power) in zip((9, 11), shaping, strict=False):
+            ii[slot] = n
+            constants += [value, power]
+        ii[11] = ii[11] if len(shaping) > 1 else -1
+        places.append(replace(place, ii=tuple(ii), constants=tuple(constants + [1.0] * (5 - len(constants)))))
+    return places
+
+
+def _passed_on(s: Structure, i: int, j: int) -> tuple[float, list[tuple[int, float, float]]]:
+    """What store j rises per fall of store i, and parameters that shape it: position, value, power (1 or -1)."""
+    p = s.plant.vector()
+    points = [(x, u) for x, u in s.points(8) if x[i] > 0.1 * s.reach(i)]
+    gains = np.array([_gain(s, i, j, x, u, p) for x, u in points])
+    if not len(gains) or not np.all(gains > 0.0) or np.ptp(gains) > 1e-3 * np.mean(gains):
+        return 1.0, []
+    shaping, (x, u) = [], points[0]
+    for n, value in enumerate(p):
+        other = p.copy()
+        other[n] *= 1.25
+        power = np.log(max(_gain(s, i, j, x, u, other), 1e-300) / gains[0]) / np.log(1.25) if value > 0.0 else 0.0
+        if abs(power) > 1e-3:
+            shaping.append((n, float(value), float(np.round(power))))
+            if abs(abs(power) - 1.0) > 1e-3 or len(shaping) > 2:
+                return float(np.mean(gains)), []
+    return float(np.mean(gains)), shaping
+
+
+def _gain(s: Structure, i: int, j: int, x, u, p) -> float:
+    """How much faster store j rises by a higher level in store i, over how much faster that one falls."""
+    up, down = x.copy(), x.copy()
+    up[i] += STEP * s.reach(i)
+    down[i] -= STEP * s.reach(i)
+    change = s.plant.derivative(up, u, p) - s.plant.derivative(down, u, p)
+    return float(-change[j] / change[i]) if change[i] < 0.0 else 0.0
 
 
 def heated(s: Structure) -> list[Place]:
