@@ -28,7 +28,13 @@ from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.pairs import fit_inner, fit_joint, fit_members, fit_pairs, fit_reversed, fit_swaps
 from pwaid.mismatch.scout import scouted
 from pwaid.mismatch.screen import Screened, locate_effects, overlooked, run_jobs, screen, shortlist
-from pwaid.mismatch.secondlooks import fit_by_segments, fit_contained, fit_lookalikes, fit_partners_by_segments
+from pwaid.mismatch.secondlooks import (
+    fit_by_segments,
+    fit_contained,
+    fit_lookalikes,
+    fit_partners_by_segments,
+    fit_rates,
+)
 from pwaid.mismatch.thresholds import Thresholds
 from pwaid.mismatch.vetoes import veto
 
@@ -199,6 +205,8 @@ def _search(problem: Problem, catalogue: Sequence[Effect], jobs: int, say: Calla
     if lower is None and _short_of_floor(problem, null, singles):
         say(0.6, "fitting pairs")
         singles, pairs = _pairs(problem, null, singles, located, jobs)
+        if problem.plant.rhs is not None and not problem.late and _short_of_floor(problem, null, pairs or singles):
+            singles, pairs = (fit_rates(problem, fitted) for fitted in (singles, pairs))
     return Evidence(problem, null, tuple(screened), tuple(singles), tuple(pairs), len(located) + len(pairs),
                     lower=lower)
 

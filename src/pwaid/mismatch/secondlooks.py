@@ -25,10 +25,14 @@ from pwaid.mismatch.nullfit import Problem
 from pwaid.mismatch.pieces import PARTING, brief_samples
 from pwaid.mismatch.screen import Screened, overlooked, run_jobs, screen
 
-__all__ = ["fit_by_segments", "fit_contained", "fit_lookalikes", "fit_partners_by_segments"]
+__all__ = ["fit_by_segments", "fit_contained", "fit_lookalikes", "fit_partners_by_segments", "fit_rates"]
 
 # Samples on which starts are tried; share of the error above the noise there that is worth going on from.
 FIRST, PROMISING = 1200, 0.5
+# A limited rate turns where it meets the command, which inputs hold from sample to sample: its error has a hollow every
+# few per cent of the rate. How far it is moved from one, on the axis it is fitted on; cost that is lower.
+RUGGED = "actuator_rate_limit"
+STEPS, LOWER = (-0.6, *np.linspace(-0.24, 0.24, 17), 0.6), 0.97
 
 
 def fit_contained(problem: Problem, singles: Sequence[Hypothesis], located: Sequence[Located], jobs: int = 1,
@@ -79,6 +83,36 @@ def fit_partners_by_segments(problem: Problem, single: Hypothesis, located: Sequ
     if single.ids[0] in PARTING:
         return []
     return _from_pieces(problem, single.coarse, located, (), jobs, count)
+
+
+def fit_rates(problem: Problem, fitted: Sequence[Hypothesis], count: int = 3) -> list[Hypothesis]:
+    """The hypotheses, the best that limits a rate among the first `count` of them fitted again from where the limit is
+    moved, if that leads to a lower hollow of the error; best first."""
+    limit = next((h for h in fitted[:count] if RUGGED in h.ids), None)
+    found = [_moved(problem, h) if h is limit else h for h in fitted]
+    return sorted(found, key=lambda h: h.train_error)
+
+
+def _moved(problem: Problem, h: Hypothesis, rounds: int = 4) -> Hypothesis:
+    """The hypothesis, or the lower one found from where its limit is moved."""
+    best, model = h.coarse, h.coarse.model
+    before = next(k for k, e in enumerate(model.located) if e.effect.id == RUGGED)
+    place = model.np + sum(e.size for e in model.located[:before])
+    for _ in range(rounds):
+        trials = []
+        for step in STEPS:
+            theta = best.theta.copy()
+            theta[place] += step
+            near = fit_starts(model, problem.coarse, problem.sigma, theta, best.X0, problem.ranges, 4)
+            trials.append(fit_model(model, problem.coarse, problem.sigma, theta, near.X0, problem.ranges, 6, 1e-3))
+        lowest = min(trials, key=lambda f: f.cost)
+        if lowest.cost > LOWER * best.cost:
+            break
+        best = fit_model(model, problem.coarse, problem.sigma, lowest.theta, lowest.X0, problem.ranges, 20, 3e-4)
+    if best is h.coarse:
+        return h
+    found = hypothesis_of(problem, on_whole(problem, best), h.score, best)
+    return found if found.train_error < h.train_error else h
 
 
 def _from_pieces(problem: Problem, base: Fit, located: Sequence[Located], fitted: Sequence[tuple], jobs: int,
