@@ -9,6 +9,7 @@ import pytest
 from pwaid.mismatch.decide import decide
 from pwaid.mismatch.effects.registry import effect_by_id
 from pwaid.mismatch.explain import collect
+from pwaid.mismatch.fit import fit_starts
 from pwaid.recording import Recording
 
 AREA, GAIN, OUT, PERIOD = 0.012, 2e-5, (2.2e-4, 2.0e-4), 1.5
@@ -192,3 +193,19 @@ def test_the_share_that_spills_over_is_one_of_volume():
     assert (decision.verdict, decision.chosen.ids) == ("named", ("overflow",))
     ((level, share, *_),) = decision.chosen.values()
     assert level == pytest.approx(0.23, rel=0.005) and share == pytest.approx(0.6, rel=0.05)
+
+
+def test_no_tank_starts_with_less_than_nothing():
+    """The level of the upper tank is not measured; far below zero it would hide what the pump brings."""
+    rates = control.nlsys(cascade, lower_level, inputs=["pump"], outputs=["h2_m"], states=["h1", "h2"],
+                          params={"c1": OUT[0], "c2": OUT[1], "a1": 0.012, "a2": 0.018})
+    runs = [recording(s) for s in (1, 2, 3)]
+    problem = collect(rates, runs[:2], runs[2:], ["c1"], effects=effect_by_id("leakage")).problem
+    assert problem.settings.empty.tolist() == [0.0, 0.0]
+    fit = fit_starts(problem.null.model, problem.train, problem.sigma, problem.null.theta,
+                     problem.null.X0 - [5.0, 0.0], problem.ranges)
+    assert np.all(fit.X0 >= 0.0)
+    linear_levels = control.nlsys(linear, lower_level, inputs=["pump"], outputs=["h2_m"], states=["h1", "h2"],
+                                  params={"c1": 4e-4, "c2": 5e-4, "area": AREA, "gain": GAIN})
+    other = collect(linear_levels, runs[:2], runs[2:], ["c1"], effects=effect_by_id("leakage")).problem
+    assert np.all(np.isneginf(other.settings.empty))  # levels of a model around a working point may be negative

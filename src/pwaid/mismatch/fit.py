@@ -169,7 +169,7 @@ def fit_model(model: Model, data: Dataset, sigma, theta, X0, ranges, iterations:
                 mu *= 10
                 continue
             new = theta if hold_globals else np.clip(theta + step[0], low, high)
-            X0n = X0 + step[1]
+            X0n = model.filled(X0 + step[1])
             Yn, Xn = model.simulate(new, X0n, data)
             rn = weighted(Yn, data, sigma)
             cn = rn @ rn + np.sum((prior * new) ** 2)

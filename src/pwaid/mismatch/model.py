@@ -116,6 +116,7 @@ class Settings:
     feedback: bool = False  # the recordings come from a closed loop
     rates_shown: tuple[tuple[int, int, float], ...] = ()  # output, state and gain of outputs that show a state's rate
     share: float = 0.5  # of the change of a speed within a step that the position sees
+    empty: np.ndarray | None = None  # (nx,) lowest start states: levels at which a store holds nothing, -inf for others
 
     @property
     def averaged(self) -> bool:
@@ -232,10 +233,17 @@ class Model:
     def opened(self, X0) -> np.ndarray:
         """Start states (n_segments, nx + hidden ones): of a hidden store, unless they hold it, that of the plant's
         store which it hangs on; of a hidden strain, none."""
-        X0 = np.asarray(X0, dtype=float)
+        X0 = self.filled(np.asarray(X0, dtype=float))
         if X0.shape[1] == self.nx + len(self.stores):
             return X0
         return np.column_stack([X0[:, :self.nx], *(X0[:, i] if i >= 0 else np.zeros(len(X0)) for _, i in self.stores)])
+
+    def filled(self, X0) -> np.ndarray:
+        """Start states with no store less than empty: a fit would hide an error of the inflow there."""
+        if self.settings.empty is None:
+            return X0
+        lowest = np.concatenate([self.settings.empty, np.full(X0.shape[1] - self.nx, -np.inf)])
+        return np.maximum(X0, lowest)
 
     def start_ranges(self, ranges) -> np.ndarray:
         """Magnitudes of the start states, those of hidden ones behind the plant's (nx,); a strain yields at one."""

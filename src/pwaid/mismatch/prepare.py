@@ -97,7 +97,7 @@ def prepare(plant: Plant, train: Dataset, test: Dataset, input_units, output_uni
     free, notes = free_names(plant, free)
     rough = _rough_structure(plant, train, input_units, output_units, free)
     settings = Settings(plant, rough.partner, rough.ratio, free, tolerances(plant, free, tolerance),
-                        first_order_hold=first_order_hold, share=rough.share)
+                        first_order_hold=first_order_hold, share=rough.share, empty=rough.empty)
     growth, fastest = eigenvalues(plant, _state_cloud(plant, rough, train), train.U)
     longest = int(np.max(np.diff(train.recordings)))
     samples = segment_length(growth, longest, train.sample_time, rough.time_scale)

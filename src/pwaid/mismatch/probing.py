@@ -91,7 +91,24 @@ def find_structure(plant: Plant, states, inputs, outputs, input_units, output_un
         forces.inertia_units, low, high, rms_u,
         *input_range, in_units, np.min(outputs, axis=0),
         np.max(outputs, axis=0), out_units, shown, time_scale, float(length), tuple(free), forces.mobility,
-        _hook_scale(plant, inputs, outputs), states[::max(1, len(states) // VISITED)])
+        _hook_scale(plant, inputs, outputs), states[::max(1, len(states) // VISITED)],
+        _empty(plant, points, kinds, high))
+
+
+def _empty(plant, points, kinds, high) -> np.ndarray:
+    """Levels (nx,) below which a store is empty: 0 where nothing depends on lower ones, -inf for other states."""
+    found = np.full(len(kinds), -np.inf)
+    for i, kind in enumerate(kinds):
+        if plant.black_box is None and kind in ("fluid", "store"):
+            a, rates = max(abs(high[i]), 1e-9), []
+            for x, u in points[:6]:
+                levels = np.repeat(np.asarray(x, dtype=float)[None], 4, axis=0)
+                levels[:, i] = -2 * a, -a, a, 2 * a
+                rates.append([plant.derivative(z, u) for z in levels])
+            below, above = (np.array([np.subtract(r[k + 1], r[k]) for r in rates]) for k in (0, 2))
+            if np.all(np.abs(below) <= 1e-9 * np.max(np.abs(above))) and np.any(above):
+                found[i] = 0.0
+    return found
 
 
 def _hook_scale(plant, inputs, outputs):

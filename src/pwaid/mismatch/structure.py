@@ -82,7 +82,8 @@ class Structure:
     (n, nx).
 
     `share` is how much of the change of a speed within a step the position sees: half, and in discrete simulators as
-    they do it themselves, 0 or 1 by Euler's methods, which hold every force over the step.
+    they do it themselves, 0 or 1 by Euler's methods, which hold every force over the step. `empty` (nx,) are levels
+    below which a store holds nothing, -inf for other states.
     """
 
     plant: Plant
@@ -111,6 +112,7 @@ class Structure:
     mobility: dict[int, float] = field(default_factory=dict)
     hook_scale: tuple[float, ...] = ()
     visited: np.ndarray = field(default_factory=lambda: np.zeros((1, 0)), repr=False)
+    empty: np.ndarray | None = None
 
     # ------------------------------------------------------------------ helpers
     @property
