@@ -59,7 +59,7 @@ class _Columns:
         self.model, self.plant, self.nx, self.P, self.Q = model, model.settings.plant, model.nx, P, Q
         self.kernels = [_by_columns(model.kernels[e]) for e in range(len(model.located))]
         self.dry = [e for e in range(len(model.located)) if model.proximal[e]]
-        self.shown = model.settings.rates_shown
+        self.shown, self.carried = model.settings.rates_shown, model.settings.carried
 
     def part(self, chosen) -> _Columns:
         return self if np.all(chosen) else _Columns(self.model, self.P[chosen], self.Q[:, chosen].copy())
@@ -86,9 +86,9 @@ class _Columns:
         XS, US, PS, DX = X.copy(), U.copy(), self.P.copy(), np.zeros_like(X)
         self.effects(1, t, h, X, XS, US, PS, DX)
         DX[:, :self.nx] = self.plant.derivatives(t, (XS - moved)[:, :self.nx], US, PS)
-        own = DX.copy()
+        own = DX.copy() if self.carried else DX
         self.effects(2, t, h, X, XS, US, PS, DX)
-        for i, j, share in self.model.settings.carried:  # positions move with what the laws change of their speeds
+        for i, j, share in self.carried:  # positions move with what the laws change of their speeds
             DX[:, i] += share * (DX[:, j] - own[:, j])
         for e in self.dry:
             self.effects(5, t, h, X, along[e], US, PS, DX, sliding, (e,))
@@ -124,7 +124,7 @@ class _Columns:
             found[:, :self.nx] = (self.plant.derivatives(t, x, push, self.P) - self.plant.derivatives(t, x, U, self.P))
         else:
             found[:, ii[2]] = 1.0 / self.P[:, ii[3]] if ii[3] >= 0 else 1.0
-            for i, j, share in self.model.settings.carried:
+            for i, j, share in self.carried:
                 found[:, i] += share * found[:, j] * (j == ii[2])
         others = [e for e in range(len(self.model.located)) if e not in self.dry]
         self.effects(6, t, 0.0, X, X, U, self.P, found, only=others)

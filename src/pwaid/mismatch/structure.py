@@ -236,13 +236,13 @@ class Structure:
         return [drawn_point(rng, (self.low, self.high), self.input_rms, (self.input_low, self.input_high))
                 for _ in range(count)]
 
-    def slope(self, i, j, x, u):
-        """Derivative of the rate of state i by state j at one point."""
+    def slope(self, i, j, x, u, p=None):
+        """Derivative of the rate of state i by state j at one point, with parameters p or the nominal ones."""
         d = max(self.reach(j), 1e-9) * 1e-4
         up, dn = x.copy(), x.copy()
         up[j] += d
         dn[j] -= d
-        return (self.plant.derivative(up, u)[i] - self.plant.derivative(dn, u)[i]) / (2 * d)
+        return (self.plant.derivative(up, u, p)[i] - self.plant.derivative(dn, u, p)[i]) / (2 * d)
 
     def inertias(self) -> list[Place]:
         places = []

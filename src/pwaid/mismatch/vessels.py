@@ -93,11 +93,8 @@ def _passed_on(s: Structure, i: int, j: int) -> tuple[float, list[tuple[int, flo
 
 def _gain(s: Structure, i: int, j: int, x, u, p) -> float:
     """How much faster store j rises by a higher level in store i, over how much faster that one falls."""
-    up, down = x.copy(), x.copy()
-    up[i] += STEP * s.reach(i)
-    down[i] -= STEP * s.reach(i)
-    change = s.plant.derivative(up, u, p) - s.plant.derivative(down, u, p)
-    return float(-change[j] / change[i]) if change[i] < 0.0 else 0.0
+    falls = -s.slope(i, i, x, u, p)
+    return float(s.slope(j, i, x, u, p) / falls) if falls > 0.0 else 0.0
 
 
 def heated(s: Structure) -> list[Place]:
