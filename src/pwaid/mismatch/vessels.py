@@ -54,8 +54,9 @@ def cascades(s: Structure, kind: str) -> list[Place]:
     return places
 
 
-def spills(s: Structure) -> list[Place]:
-    """Cascades, with what the second store rises when the first one gives away what it would rise itself.
+def spills(s: Structure, *first: float) -> list[Place]:
+    """Cascades, with what the second store rises when the first one gives away what it would rise itself, behind the
+    constants `first`.
 
     With two areas a1 and a2 that is a1/a2. It is read off the flow that the first store's level drives into the second,
     with up to two parameters that it is proportional to, or inversely; 1 where the level drives other flows too.
@@ -68,7 +69,7 @@ def spills(s: Structure) -> list[Place]:
             ii[slot] = n
             constants += [value, power]
         ii[11] = ii[11] if len(shaping) > 1 else -1
-        places.append(replace(place, ii=tuple(ii), constants=tuple(constants + [1.0] * (5 - len(constants)))))
+        places.append(replace(place, ii=tuple(ii), constants=(*first, *constants, *[1.0] * (5 - len(constants)))))
     return places
 
 

@@ -9,6 +9,8 @@ from pwaid.mismatch.vessels import cascades, heated, neighbours, outlets, own_ou
 
 __all__ = ["EFFECTS"]
 
+BRIMLESS = 1e9  # a level that no store reaches: simulations end there
+
 
 def root_outflow(phase, t, h, x, xs, u, p, dx, ii, q):
     """The plant's linear outflow k*x becomes k*sqrt(reference*x)."""
@@ -84,20 +86,9 @@ def overflow(phase, t, h, x, xs, u, p, dx, ii, q):
 
 
 def overflow_into(phase, t, h, x, xs, u, p, dx, ii, q):
-    """The store stops rising at level; a share of the spill enters store ii[6], which rises q[2] times as fast by it,
-    in proportion to parameters ii[9] and ii[11] (then q[3] and q[5]) or inversely (powers q[4] and q[6])."""
-    if phase == 2 and x[ii[4]] >= q[0] and dx[ii[4]] > 0.0:
-        spill = q[1] * q[2] * dx[ii[4]]
-        if ii[9] >= 0:
-            spill *= (p[ii[9]] / q[3]) ** q[4]
-        if ii[11] >= 0:
-            spill *= (p[ii[11]] / q[5]) ** q[6]
-        dx[ii[6]] += spill
-        dx[ii[4]] = 0.0
-
-
-def overflow_both(phase, t, h, x, xs, u, p, dx, ii, q):
-    """Two stores in cascade, each with its own brim; q = level, share, second level, then as `overflow_into`."""
+    """The store stops rising at level, and the next one, ii[6], at q[2]. A share of the spill enters that one, which
+    rises q[3] times as fast by it, in proportion to parameters ii[9] and ii[11] (then q[4] and q[6]) or inversely
+    (powers q[5] and q[7])."""
     if phase == 2:
         if x[ii[4]] >= q[0] and dx[ii[4]] > 0.0:
             spill = q[1] * q[3] * dx[ii[4]]
@@ -176,14 +167,14 @@ EFFECTS = (
             Quantity("second_coefficient", "1/time", 1e-4, 10.0, (0.03, 0.2))), leak_between, neighbours,
            ("head_offset", "square_root_outflow"), "close everything and wait", dissipative=True),
     Effect("overflow", "fluid", "dh/dt <= 0 at the brim; a share of what spills enters the next store",
-           (_LEVEL, Quantity("share", "1", 0.0, 1.0, (0.05, 0.4), log=False)), overflow_into, spills,
-           ("actuator_saturation", "sensor_saturation"), "a long high plateau"),
+           (_LEVEL, Quantity("share", "1", 0.0, 1.0, (0.05, 0.4), log=False)), overflow_into,
+           lambda s: spills(s, BRIMLESS), ("actuator_saturation", "sensor_saturation"), "a long high plateau"),
     Effect("overflow", "fluid", "dh/dt <= 0 at the brim", (_LEVEL,), overflow, lambda s: stores(s, "fluid"),
            ("actuator_saturation", "sensor_saturation"), "a long high plateau"),
     Effect("overflow", "fluid",
            "dh/dt <= 0 at both brims; a share of what spills from the first enters the second store",
            (_LEVEL, Quantity("share", "1", 0.0, 1.0, (0.05, 0.4), log=False),
-            Quantity("second_level", "second_level", 0.2, 1.02, (0.92,), log=False)), overflow_both, spills,
+            Quantity("second_level", "second_level", 0.2, 1.02, (0.92,), log=False)), overflow_into, spills,
            ("actuator_saturation", "sensor_saturation"), "a long high plateau"),
     Effect("radiation", "thermal", "dT/dt = ... - coefficient*75 K*((T/300 K)^4 - (T_ambient/300 K)^4)",
            (Quantity("coefficient", "1/time", 1e-4, 30.0, (0.03, 0.2, 1.0)),
